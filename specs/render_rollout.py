@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from render_pictures import png
 
-from simfoundry.evaluate.expert.policy import Expert
+from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ImageSize
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
@@ -50,7 +50,7 @@ def filmed(file: Path, index: int) -> tuple[str, Rollout]:
     start = starts(task, 25)[index]
     camera = task.scene.cameras[0].name
     with open_world(task.scene, "mujoco") as world:
-        return camera, rollout(task, start, Expert(task), world, video=Video({camera: SIZE}, every=4))
+        return camera, rollout(task, start, ExpertPolicy(task), world, video=Video({camera: SIZE}, every=4))
 
 
 def sheet(pictures: list[Image.Image]) -> Image.Image:

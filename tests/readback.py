@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.kinematics import link_poses
@@ -40,6 +41,11 @@ def read_stage(stage: Usd.Stage) -> WorldReadback:
 
 def _module(target: str):  # type: ignore[no-untyped-def]
     return import_file(Path(shipped("targets")) / target / "readback.py")
+
+
+def poses_of(found: WorldReadback) -> dict[str, Pose]:
+    """The poses of the links in the world."""
+    return {name: pose_of(link.pose) for name, link in found.links.items() if link.pose is not None}
 
 
 def assert_links(scene: Scene, found: WorldReadback, rel: float, pose_tolerance: float) -> None:

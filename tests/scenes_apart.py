@@ -24,7 +24,7 @@ from simfoundry.scene.model import (
     Visual,
 )
 from simfoundry.scene.robot import Robot
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 
 RELATIVE, METRES, RADIANS = 1e-6, 1e-6, 1e-6
 
@@ -94,7 +94,7 @@ def _object(one: SceneObject, two: SceneObject) -> Iterator[Apart]:
     yield from _same("root", "link_names", one.root.name, two.root.name)
     variants = [sorted((o.variant, *(v.variant for v in o.variants))) for o in (one, two)]
     yield from _same("variants", "variants", *variants)
-    yield from _same("no_contact", "no_contact", sorted(silent_pairs(one)), sorted(silent_pairs(two)))
+    yield from _same("no_contact", "no_contact", sorted(excluded_link_pairs(one)), sorted(excluded_link_pairs(two)))
     yield from _each("links", "link_names", _by_name(one.links), _by_name(two.links), _link)
     yield from _each("joints", "joint_names", _by_name(one.joints), _by_name(two.joints), _joint)
 

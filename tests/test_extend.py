@@ -36,6 +36,7 @@ objects:
 robots:
   arm: {model: my_arm}
 relations: [OnTop(block, table), Higher(block, 0.01)]
+cameras: {front: {size: [64, 48], fx: 50, fy: 50, pose: {xyz: [1.3, 0, 0.7], look_at: [0.3, 0, 0]}}}
 """
 TASK = """\
 simfoundry: task/1
@@ -80,13 +81,19 @@ def scene(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bench.scene.yaml"
 
 
-def test_check_knows_the_predicate_and_the_robot(scene: Path) -> None:
+def test_check_knows_the_predicate_the_robot_and_the_lint(scene: Path) -> None:
     """The task's goal too; and a wrong argument is a finding, not a crash."""
     done = run("check", scene, scene.with_name("lift.task.yaml"), "--json")
     assert done.code == 0, done.out + done.err
     wrong = scene.with_name("wrong.scene.yaml")
     wrong.write_text(SCENE.replace("Higher(block, 0.01)", "Higher(block)").replace("name: bench", "name: wrong"))
     assert "`Higher`" in run("check", wrong).err
+    blind = SCENE.partition("cameras:")[0].replace("name: bench", "name: wrong")
+    wrong.write_text(blind)
+    found = run("check", wrong).err
+    assert "warning[LAB001] the scene has no camera" in found
+    wrong.write_text(blind.replace("name: wrong", "name: wrong\nallow: {LAB001: it is for physics only}"))
+    assert "LAB001" not in run("check", wrong).err
     wrong.unlink()
     assert "my_arm" in robot_names()
     robot = find_robot("my_arm")

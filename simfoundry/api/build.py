@@ -1,4 +1,4 @@
-"""What a scene becomes: files of targets, models in memory, worlds."""
+"""Products of a scene: files of targets, and models in memory."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Build:
 
     @property
     def losses(self) -> dict[str, Any]:
-        """What each target could not keep: the content of ``loss.json``."""
+        """The losses of each target: the content of ``loss.json``."""
         return report(self.scene, list(self.artifacts))
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What an evaluation found: the records of its rollouts, in ``folder`` with ``results.json`` and ``report.html``.
+    """Results of an evaluation: the records of its rollouts, in ``folder`` with ``results.json`` and a report.
 
     ``missing`` counts the rollouts without a result; ``troubles`` are sentences about policies that misbehaved.
     """

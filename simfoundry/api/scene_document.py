@@ -173,7 +173,7 @@ class SceneDocument(EditableDocument):
 
     @property
     def relations(self) -> ExpressionList:
-        """What should hold, as ``OnTop(cup, desk)``: a list that is edited in place."""
+        """The predicates that should hold, as ``OnTop(cup, desk)``: a list that is edited in place."""
         return ExpressionList(self, ("relations",))
 
     @relations.setter

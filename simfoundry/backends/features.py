@@ -27,14 +27,14 @@ class Fidelity(StrEnum):
 
 
 @dataclass(frozen=True)
-class Cell:
+class SupportCell:
     """The fidelity of a feature in a target: exact where ``fidelity`` is None; ``reason`` explains any other."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
 
 
-Cells = Mapping[str, Cell]
+Cells = Mapping[str, SupportCell]
 
 
 @dataclass(frozen=True)
@@ -50,24 +50,24 @@ class Feature:
     quantity: str = ""
 
 
-def exact(*features: str) -> dict[str, Cell]:
+def exact(*features: str) -> dict[str, SupportCell]:
     """Return the cells of features that are kept exactly."""
-    return dict.fromkeys(features, Cell())
+    return dict.fromkeys(features, SupportCell())
 
 
-def approximated(reason: str) -> Cell:
+def approximated(reason: str) -> SupportCell:
     """Return the cell of a feature that is kept, but not exactly."""
-    return Cell(Fidelity.APPROXIMATED, reason)
+    return SupportCell(Fidelity.APPROXIMATED, reason)
 
 
-def dropped(reason: str) -> Cell:
+def dropped(reason: str) -> SupportCell:
     """Return the cell of a feature that is left out."""
-    return Cell(Fidelity.DROPPED, reason)
+    return SupportCell(Fidelity.DROPPED, reason)
 
 
-def rejected(reason: str) -> Cell:
+def rejected(reason: str) -> SupportCell:
     """Return the cell of a feature whose scenes are not compiled."""
-    return Cell(Fidelity.REJECTED, reason)
+    return SupportCell(Fidelity.REJECTED, reason)
 
 
 SIMPLIFIED_COLLIDERS = approximated("Every target gets the same simpler shapes; the loss report states the distance.")

@@ -45,13 +45,13 @@ def _check_object(item: SceneObject) -> None:
 
 
 def _check(where: str, kind: str, names: Iterable[str]) -> None:
-    seen: set[str] = set()
+    known: set[str] = set()
     for name in names:
         if not _NAME.fullmatch(name):
             raise InvalidSceneError(
                 f"{where}: {kind} name {name!r} is not usable; start with a lower-case letter and go on with "
                 f"lower-case letters, digits and underscores"
             )
-        if name in seen:
+        if name in known:
             raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one")
-        seen.add(name)
+        known.add(name)

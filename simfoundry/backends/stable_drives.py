@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.losses import Loss, approximate
-from simfoundry.scene.inertia import felt_inertias
+from simfoundry.scene.inertia import effective_inertias
 from simfoundry.scene.model import Drive, Scene, SceneObject
 from simfoundry.scene.trees import trees
 
@@ -20,7 +20,7 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
     """
     if not any(joint.drive is not None for joint in item.joints):
         return {}
-    effective = {name: inertia for tree in trees(item) for name, inertia in felt_inertias(tree).items()}
+    effective = {name: inertia for tree in trees(item) for name, inertia in effective_inertias(tree).items()}
     found = {}
     for joint in item.joints:
         if joint.drive is not None:

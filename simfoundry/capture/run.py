@@ -32,7 +32,7 @@ from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
-from simfoundry.worlds.settle import Settled, settle
+from simfoundry.worlds.settle import SettleResult, settle
 
 Progress = Callable[[str, float], None]
 
@@ -48,7 +48,7 @@ class CaptureRun:
 
     scene_file: Path
     reconstruction: Reconstruction
-    settled: Settled
+    settled: SettleResult
     report: dict[str, Any]
 
 
@@ -129,7 +129,7 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
-) -> tuple[Reconstruction, Scene, Settled]:
+) -> tuple[Reconstruction, Scene, SettleResult]:
     """Settle the scene, and write spec and meshes beside ``scene_file`` with the poses and relations at rest.
 
     An object whose fitted solid does not come to rest is left out, and the others settle anew.
@@ -170,7 +170,7 @@ def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
     write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())
 
 
-def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settled, folder: Path) -> None:
+def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: SettleResult, folder: Path) -> None:
     from simfoundry.render.montage import overlay, save_png, side_by_side
     from simfoundry.render.raycast import raycast
 
@@ -181,7 +181,7 @@ def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settle
     save_png(folder / "compare.png", side_by_side(panels))
 
 
-def _report(built: Reconstruction, settled: Settled, source: str) -> dict[str, Any]:
+def _report(built: Reconstruction, settled: SettleResult, source: str) -> dict[str, Any]:
     settle_of = {o["name"]: o for o in settled.to_json()["objects"]}
     objects = {}
     for name, shape in built.shapes.items():

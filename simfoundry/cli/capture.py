@@ -13,10 +13,10 @@ from simfoundry.cli.settle import settle_table
 
 @subcommand()
 @click.argument("capture", type=ANY)
-@click.option("-o", "--out", type=NEW_FOLDER, help="Default: build/<capture name>.")
-@click.option("--frame", help="The frame to reconstruct; default: the first.")
-@click.option("--force", is_flag=True, help="Replace the output folder even where it holds files or edits of your own.")
-@click.option("--strict", is_flag=True, help="Exit with 1 where an object was left out or settled with a problem.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write the scene into this folder. Default: build/<capture name>.")
+@click.option("--frame", help="Reconstruct this frame. Default: the first.")
+@click.option("--force", is_flag=True, help="Replace the output folder even if it holds files or edits of yours.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if an object was left out or did not settle well.")
 def command(capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool) -> int:
     """Turn a capture (a folder with capture.yaml, colour and depth) into a settled scene with meshes.
 
@@ -41,7 +41,7 @@ def command(capture: Path, out: Path | None, frame: str | None, force: bool, str
 
 
 def _name(capture: Path) -> str:
-    """What a capture is called: its folder, or NAME of NAME.capture.yaml."""
+    """Return the name of a capture: that of its folder, or NAME of NAME.capture.yaml."""
     if capture.is_dir() or capture.name == "capture.yaml":
         return (capture if capture.is_dir() else capture.parent).resolve().name
     return capture.name.split(".")[0]

@@ -27,18 +27,14 @@ MANY = 100
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
-    "--format",
-    "form",
-    type=click.Choice(FORMATS),
-    default="text",
-    show_default=True,
-    help="For people, scripts, code scanning, or annotations on GitHub.",
-)
-@click.option("--lints/--no-lints", default=True, help="Whether to look at shapes too, or at the structure alone.")
+    "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
+    help="Choose text for people, or a format for scripts, code scanning or GitHub.",
+)  # fmt: skip
+@click.option("--lints/--no-lints", default=True, help="Look at geometry too, or at the structure alone.")
 def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
-    """Check documents, or every document below folders (default: here).
+    """Check documents, or every document below folders (default: the working folder).
 
-    Exit code 1 where there is an error or a warning. `simfoundry explain CODE` says more about a finding.
+    The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` says more about a finding.
     """
     from simfoundry.runtime.parallel import map_parallel
     from simfoundry.spec.check.report import gather, renderer
@@ -66,10 +62,10 @@ def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> i
 
 
 _known: dict[Path, Known] = {}
-"""What this process has read during a command, by project: documents that many others use are read once."""
+"""Documents read by this process during a command, by project, so that shared ones are read once."""
 
 _linted: set[Path] = set()
-"""What this process has held to the lints during a command."""
+"""Documents linted by this process during a command."""
 
 
 def _check(file: Path, lints: bool) -> Checked:

@@ -20,20 +20,19 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @subcommand()
 @click.argument("scenes", nargs=-1, required=True, type=ANY)
 @click.option(
-    "-t",
-    "--target",
-    "targets",
-    multiple=True,
-    help="A backend, a simulator, or your own profile; default: all backends.",
-)
+    "-t", "--target", "targets", multiple=True,
+    help="Compile for a format, a simulator, or a folder of your own. Default: all formats.",
+)  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER, default=Path("build"), show_default=True,
-    help="Where the folders of the targets go; of several scenes, a folder for each.",
+    help="Write a folder for each target here; with several scenes, a folder for each scene.",
 )  # fmt: skip
-@click.option("-j", "--jobs", type=click.IntRange(1), help="So many scenes at a time; default: as many as cores.")
-@click.option("--strict", is_flag=True, help="Exit with 1 where a target cannot keep everything.")
 @click.option(
-    "--force", is_flag=True, help="Redo what is up to date, and replace folders even where they hold files of your own."
+    "-j", "--jobs", type=click.IntRange(1), help="Compile this many scenes at a time. Default: one for each core."
+)
+@click.option("--strict", is_flag=True, help="Exit with 1 if a target cannot keep everything.")
+@click.option(
+    "--force", is_flag=True, help="Compile what is up to date too, and replace folders that hold files of yours."
 )
 def command(
     scenes: tuple[Path, ...],

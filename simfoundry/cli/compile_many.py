@@ -15,9 +15,6 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, p
 if TYPE_CHECKING:
     from simfoundry.targets.batch import CompileJob, CompileOutcome
 
-FUNCTION = "simfoundry.cli.compile_many:work"
-"""What the processes call: with the command line they import what reads a scene from a stage."""
-
 
 def compile_many(
     paths: Sequence[Path], targets: tuple[str, ...], out: Path, workers: int | None, strict: bool, force: bool,
@@ -43,18 +40,11 @@ def compile_many(
     return FINDINGS if found[FAILED] or (strict and lossy) else DONE
 
 
-def work(job: CompileJob) -> CompileOutcome:
-    """What a process does with one scene."""
-    from simfoundry.targets.batch import compile_job
-
-    return compile_job(job)
-
-
 def _outcomes(jobs: Sequence[CompileJob], workers: int, report: Callable[[str, int], object]) -> list[CompileOutcome]:
     """One scene is compiled here: it is not worth the start of a process."""
-    from simfoundry.targets.batch import compile_all
+    from simfoundry.targets.batch import compile_all, compile_job
 
-    return [work(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report, function=FUNCTION)
+    return [compile_job(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report)
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:

@@ -20,10 +20,16 @@ if TYPE_CHECKING:
 @subcommand(force=True)
 @click.argument("real", type=ANY)
 @click.argument("sim", nargs=-1, required=True, type=ANY)
-@click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
-@click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="For intervals.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
-@click.option("--svg", type=NEW_FILE, help="Write the scatter plot.")
+@click.option(
+    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
+    help="Assume this many rollouts for a rate without a count.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
+    help="Draw this many samples for the intervals.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed the draws.")
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def command(
     real: Path,
     sim: tuple[Path, ...],
@@ -34,7 +40,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Say how well simulated success rates tell the real ones: Pearson's r and MMRV of each task.
+    """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
 
     REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or what `simfoundry eval` wrote.
     Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what

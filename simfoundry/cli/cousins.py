@@ -16,24 +16,30 @@ from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subc
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import Recipe
-    from simfoundry.cousins.run.run import Ledger, Plan
+    from simfoundry.cousins.run.run import Ledger, RunPlan
 
 
 @subcommand(force=True)
 @click.argument("recipe", type=FILE)
-@click.option("-n", "--count", type=click.IntRange(1, 1_000_000), help="How many cousins. Default: the recipe's.")
+@click.option(
+    "-n", "--count", type=click.IntRange(1, 1_000_000),
+    help="Make this many cousins. Default: as many as the recipe says.",
+)  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER,
-    help="A folder in the project of the twin. Default: build/NAME in it.",
+    help="Write into this folder of the twin's project. Default: build/NAME.",
 )  # fmt: skip
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Processes. Default: one for each core.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="In place of the recipe's.")
-@click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate from the I-th on.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Use this many processes. Default: one for each core.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Use this seed instead of the recipe's.")
+@click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
-@click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
-@click.option("--no-gallery", is_flag=True, help="Draw nothing.")
-@click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
-@click.option("--stage", type=NEW_FILE, help="Also a USD stage of all, as variants.")
+@click.option(
+    "--gallery", type=click.IntRange(0, 1000), default=24, show_default=True,
+    help="Show this many pictures on the page.",
+)  # fmt: skip
+@click.option("--no-gallery", is_flag=True, help="Draw no pictures.")
+@click.option("--vlm", default="", metavar="MODEL", help="Ask this model where the recipe needs one.")
+@click.option("--stage", type=NEW_FILE, help="Also write a USD stage that holds all cousins as variants.")
 def command(
     recipe: Path,
     count: int | None,
@@ -49,38 +55,32 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make variants of a scene or task that keep what can be done in it.
+    """Make variants of a scene or task that keep its affordances.
 
     Each cousin is a document in OUT that extends the twin with what differs; OUT/manifest.json lists them, and every
     candidate that was rejected, with the reasons; OUT/gallery.html shows the first. The same recipe and seed give the
     same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
     are united by a run without --shard.
 
-    Exit code 1 where there are fewer cousins, or fewer variants of an object, than asked for, with the reasons.
+    The exit code is 1 if there are fewer cousins, or fewer variants of an object, than asked for.
     """
     from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.recipe.candidate import ImpossibleError
-    from simfoundry.cousins.recipe.document import claim_project, read_recipe
     from simfoundry.cousins.recipe.variant_pool import ASSETS
-    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, Setup
-    from simfoundry.cousins.run.run import Plan, begin, run
+    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
+    from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
         from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(stage, [recipe], force)
-    read = read_recipe(recipe, seed)
-    folder = (out or read.scene.root / "build" / read.spec.name).absolute()
-    marker = claim_project(read, folder)
-    if marker is not None:
-        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
-        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
-    setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
+    read, folder = _read(recipe, seed, out)
+    setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
-            plan = Plan(folder, count or read.spec.count, read.about(), shard)
+            plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
             begin(plan)
             sampler = CandidateSampler.load(setup)
             sampler.require_possible()
@@ -100,8 +100,21 @@ def command(
     return _report(plan, ledger, read.remarks, as_json)
 
 
+def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
+    """The recipe, and the folder of its cousins, which belongs to the project of the twin from now on."""
+    from simfoundry.cousins.recipe.document import claim_project, read_recipe
+
+    read = read_recipe(recipe, seed)
+    folder = (out or read.scene.root / "build" / read.spec.name).absolute()
+    marker = claim_project(read, folder)
+    if marker is not None:
+        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
+        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
+    return read, folder
+
+
 def _write(
-    plan: Plan,
+    plan: RunPlan,
     ledger: Ledger,
     recipe: Recipe,
     pictures: int,
@@ -131,7 +144,7 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
+def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.run.report import FILE, examples, summary
     from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE
 

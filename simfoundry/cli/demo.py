@@ -15,10 +15,10 @@ from simfoundry.cli.settle import settle_table
 @subcommand()
 @click.argument("capture", type=ANY, required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
-@click.option("--frame", help="The frame to reconstruct; default: the first.")
-@click.option("--force", is_flag=True, help="Replace the output even where it holds files or edits of your own.")
+@click.option("--frame", help="Reconstruct this frame. Default: the first.")
+@click.option("--force", is_flag=True, help="Replace the output folder even if it holds files or edits of yours.")
 def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
-    """Capture, compile and run: from one picture to four simulators, and an arm that does a small task there.
+    """Reconstruct a scene from one picture, compile and run it, and let an arm do a small task in it.
 
     CAPTURE is a folder with capture.yaml; without it, the project's own desk, for which the truth is known.
     """

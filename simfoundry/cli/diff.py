@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 @subcommand(as_json=False, force=True)
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
 @click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
-@click.option("-o", "--out", type=NEW_FILE, help="Where the HTML page goes.")
-@click.option("--exit-code", is_flag=True, help="Exit with 1 where there is a difference.")
-@click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
-@click.option("--git", "driver", is_flag=True, help="Answer git, as its diff driver.")
+@click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
+@click.option("--exit-code", is_flag=True, help="Exit with 1 if there is a difference.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences that mean nothing, as another order.")
+@click.option("--git", "driver", is_flag=True, help="Act as git's diff driver.")
 def command(
     what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
 ) -> int | None:
-    """Say what changed in a document, in the words of the scene.
+    """Show what changed in a document, in the words of the scene.
 
     Two files; or two revisions of a file: `HEAD~1 desk.scene.yaml` is that revision against the file as it is now,
     `main..feature desk.scene.yaml` two revisions; HEAD where there is none. Without a file, every document that
@@ -91,7 +91,7 @@ def _print_findings(found: list[DocumentComparison]) -> None:
 
 
 def plain(comparison: DocumentComparison) -> dict[str, Any]:
-    """What changed as plain data."""
+    """Return the changes as plain data."""
     from dataclasses import asdict
 
     from simfoundry.spec.change.diff.changes import to_json

@@ -11,7 +11,7 @@ from simfoundry.cli.output import DONE, FINDINGS, print_json, subcommand
 
 @subcommand()
 def command(as_json: bool) -> int:
-    """Say what is installed, what is missing and how to get it. Exit code 1 where something required is missing.
+    """Show what is installed, what is missing and how to install it. The exit code is 1 if a requirement is missing.
 
     Looked at are packages, extras, known robots, what draws pictures, and foundation models. Nothing is fetched.
     """

@@ -1,4 +1,4 @@
-"""Which documents a command works on."""
+"""The documents that a command works on."""
 
 from __future__ import annotations
 

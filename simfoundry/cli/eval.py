@@ -33,22 +33,29 @@ SENTENCES = 10
     "openpi:localhost:8000?action_space=joint_position.",
 )  # fmt: skip
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
-@click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
+@click.option(
+    "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
+    help="Run this many rollouts of each task.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed the starts.")
 @click.option(
     "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="The engine; two are compared from the same starts.",
+    show_default=True, help="Run in this engine; give two to compare them.",
 )  # fmt: skip
-@click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
-@click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
-@click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
+@click.option("--from", "onward", metavar="STEP", help="Start at this step and require the whole goal.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step and require its goal alone.")
+@click.option("--subtasks", is_flag=True, help="Also run each step that has a start of its own.")
 @click.option(
-    "--video/--no-video", default=None, help="A video of each rollout. Default: where a picture can be drawn."
+    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if pictures can be drawn here."
 )
-@click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
-@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
-@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 where a success rate is below this.")
+@click.option("--camera", "cameras", multiple=True, help="Film with these cameras. Default: the scene's first.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Use this many processes."
+)
+@click.option(
+    "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
+)
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 if a success rate is below this.")
 def command(
     tasks: tuple[Path, ...],
     policies: tuple[str, ...],
@@ -66,7 +73,7 @@ def command(
     require: float | None,
     as_json: bool,
 ) -> int:
-    """Let policies do tasks, and say how often they succeed.
+    """Evaluate policies on tasks.
 
     TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
     cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
@@ -77,7 +84,7 @@ def command(
     A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
     not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
 
-    Exit code 1 where rollouts are missing, or where a rate is below --require.
+    The exit code is 1 if rollouts are missing, or if a rate is below --require.
     """
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
@@ -103,7 +110,7 @@ def command(
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
-    """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
+    """Return whether videos can be drawn here, and say why not. PyBullet needs no driver."""
     from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
@@ -174,7 +181,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
-    """What all tasks together say, and how sure it is that two policies differ."""
+    """Print the rates over all tasks, and the evidence that two policies differ."""
     from rich.table import Table
 
     from simfoundry.evaluate.statistics.engine_comparison import compare_engines

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @subcommand()
 @click.argument("code", required=False)
 def command(code: str | None, as_json: bool) -> None:
-    """Explain a code: what it means, how to mend it, what is wrong and what is right.
+    """Explain a code: what it means, how to fix it, what is wrong and what is right.
 
     CODE is written as in a finding, SF201, or shorter, 201. Without one, all codes are listed.
     """

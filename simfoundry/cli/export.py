@@ -14,12 +14,12 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_document, p
 @click.argument("task", type=FILE)
 @click.option(
     "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
-    help="BDDL as LIBERO or BEHAVIOR reads it, or the task YAML of the authors' release.",
+    help="Write BDDL for LIBERO or BEHAVIOR, or the task YAML of the paper's release.",
 )  # fmt: skip
-@click.option("-o", "--out", type=NEW_FILE, help="Default: standard output.")
-@click.option("--strict", is_flag=True, help="Exit with 1 where something was left out or assumed.")
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if something was left out or assumed.")
 def command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
-    """Write a task in a format that others read.
+    """Write a task as BDDL, or in the format of the paper's release.
 
     What the format cannot say of the goal is refused; what it cannot say of the start is reported. `simfoundry import`
     reads all three formats.

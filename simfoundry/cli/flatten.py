@@ -12,8 +12,8 @@ from simfoundry.cli.output import DONE, print_document, print_json, subcommand
 
 @subcommand(force=True)
 @click.argument("file", type=FILE)
-@click.option("-o", "--out", type=NEW_FILE, help="Write to a file, not to the screen.")
-@click.option("--hash", "only_hash", is_flag=True, help="Print the SHA-256 of the text alone.")
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
+@click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
 def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
     """Write a document out in full: what it extends joined in, every default spelled out.
 

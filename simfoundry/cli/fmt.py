@@ -31,8 +31,8 @@ STDIN = Path("-")
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
-@click.option("--check", is_flag=True, help="Write nothing; exit code 1 where something would change.")
-@click.option("--diff", is_flag=True, help="Write nothing; show what would change.")
+@click.option("--check", is_flag=True, help="Write nothing, and exit with 1 if something would change.")
+@click.option("--diff", is_flag=True, help="Write nothing, and show what would change.")
 def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
     """Write documents in their canonical form; comments and meaning stay.
 
@@ -81,7 +81,7 @@ def _stream(check: bool, diff: bool) -> int:
     try:
         before = sys.stdin.buffer.read().decode("utf-8")
     except UnicodeDecodeError:
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is no UTF-8 text", "<stdin>")]) from None
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is not UTF-8 text", "<stdin>")]) from None
     text = Formatted(before, format_text(before, "<stdin>"))
     if diff:
         click.echo(_diff(STDIN, text), nl=False)

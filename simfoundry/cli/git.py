@@ -21,14 +21,14 @@ PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
 LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
 
 _scope = (
-    click.option("--global", "everywhere", is_flag=True, help="For every repository of yours."),
-    click.option("--local", "here", is_flag=True, help="For this repository (default)."),
+    click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories."),
+    click.option("--local", "here", is_flag=True, help="Apply to this repository (default)."),
 )
 
 
 @dataclass(frozen=True)
 class Scope:
-    """Where git is told: one repository, or all of a user's."""
+    """The scope of git settings: one repository, or all of a user's."""
 
     option: str
     attributes: Path
@@ -41,13 +41,13 @@ class Scope:
 
 @click.group()
 def command() -> None:
-    """Let git show and merge documents by meaning."""
+    """Set up git to diff and merge documents by meaning."""
 
 
 @command.command()
 @_scope[0]
 @_scope[1]
-@click.option("--uninstall", is_flag=True, help="Take back what was set.")
+@click.option("--uninstall", is_flag=True, help="Remove the settings.")
 @reporting
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     """Set simfoundry as git's diff and merge driver for documents.
@@ -80,7 +80,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
 @json_option
 @reporting
 def status(as_json: bool) -> int:
-    """Say what is set, here and for every repository; exit code 1 where a part is missing."""
+    """Show the settings, here and for all repositories. The exit code is 1 if one is missing."""
     wanted = settings()
     found = {key: _output("config", "--get", key) for key in wanted}
     folder = _top()
@@ -176,7 +176,7 @@ def _write(file: Path, text: str) -> None:
 
 
 def _output(*args: str) -> str:
-    """What git prints; empty where it fails."""
+    """Return the output of git, empty if it fails."""
     try:
         return os.fsdecode(git(Path(), *args)).strip()
     except GitError as error:

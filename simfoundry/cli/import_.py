@@ -26,34 +26,32 @@ HEADINGS = {
 @subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="NAME.scene.yaml or NAME.asset.yaml; a folder for several files. Default: named after the file, here.",
-)
+    "-o", "--out", type=click.Path(path_type=Path),
+    help="Write NAME.scene.yaml or NAME.asset.yaml, or into this folder. Default: named after the file.",
+)  # fmt: skip
 @click.option(
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="The folder of a package that `package://NAME/…` means; may be given more than once.",
+    help="Look up `package://NAME/…` in this folder; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--scene", type=FILE,
-    help="The scene document that a task, of the authors' release or in BDDL, is for.",
+    help="Import a task for this scene.",
 )  # fmt: skip
 @click.option(
     "--onto", type=FILE,
-    help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
+    help="Apply the edits of a compiled stage to its document, which keeps its comments.",
 )  # fmt: skip
 @click.option(
     "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
-    help="Which object of --scene a name of a BDDL task means; may be given more than once.",
+    help="Bind a name of a BDDL task to an object of --scene; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-    help="What links of URDF and bodies of USD that state no mass are made of: wood 600, plastics 1100, steel 7800. "
+    help="Density of links and bodies that state no mass: wood 600, plastics 1100, steel 7800. "
     "Default: 1000, as simulators take it.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
-@click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
+@click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if something was left out, changed or assumed.")
 def command(
     files: tuple[Path, ...],
     out: Path | None,
@@ -66,13 +64,13 @@ def command(
     strict: bool,
     as_json: bool,
 ) -> int:
-    """Import URDF, MJCF, USD, a scene or task of the authors' release, or a BDDL task, as a scene, an asset or a task.
+    """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
 
     A stage that `compile` wrote gives its own document back, with what was edited in it since: into OUT where that is
     there, or into the document named by --onto.
 
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
-    Nothing is written for a file that is refused. Exit code 2 where one was refused.
+    Nothing is written for a file that is refused. The exit code is 2 if one was refused.
     """
     from simfoundry.frontends.draft import ImportOptions
     from simfoundry.frontends.importer import import_file
@@ -180,7 +178,7 @@ def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
 
 
 def _is_model(path: Path) -> bool:
-    """Whether a file of a folder is meant to be imported: not a package manifest, not a piece that others include."""
+    """Return whether to import a file of a folder: no package manifest, and no part that other files include."""
     if path.suffix.lower() not in (".xml", ".json"):
         return True
     with path.open("rb") as stream:
@@ -200,7 +198,7 @@ def _default_name(path: Path) -> str:
 
 
 def _described(report: ImportReport) -> str:
-    """What was imported, and every way in which it is not what the file says."""
+    """Describe what was imported, and each difference from the file."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
     lines += _warned_of_masses(report)

@@ -16,9 +16,9 @@ from simfoundry.errors import SimfoundryError
 @scene_argument
 @click.argument("conditions", nargs=-1)
 def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
-    """Say of predicates, as 'Inside(cup, bowl)', whether they hold in a scene, by how much and why.
+    """Judge predicates, as 'Inside(cup, bowl)', in a scene: true or false, by how much, and why.
 
-    Without any, of the scene's own relations. Exit code 1 where one does not hold.
+    Without any, of the scene's own relations. The exit code is 1 if one does not hold.
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 @subcommand()
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
 @click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
-@click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences that mean nothing, as another order.")
 def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
-    """Say what each commit changed about a document, in the words of the scene; the latest comes first.
+    """Show what each commit changed in a document, in the words of the scene, the latest first.
 
     What the document extends, and what it refers to, counts too, each time as it was then. The history is that of HEAD,
     of a revision, or of a range as `main..feature`.

@@ -29,11 +29,12 @@ if TYPE_CHECKING:
 
 @subcommand(force=True)
 @click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
-@click.option("-o", "--out", type=NEW_FILE, help="Write to a file, not to the screen.")
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option(
-    "--resolve", "side", type=click.Choice(["ours", "theirs"]), help="Take a side: --resolve ours FILE [PATH]..."
-)
-@click.option("--git", "driver", is_flag=True, help="Answer git, as its merge driver: --git %O %A %B %L %P.")
+    "--resolve", "side", type=click.Choice(["ours", "theirs"]),
+    help="Decide conflicts for one side: --resolve ours FILE [PATH]...",
+)  # fmt: skip
+@click.option("--git", "driver", is_flag=True, help="Act as git's merge driver: --git %O %A %B %L %P.")
 def command(
     args: tuple[str, ...],
     out: Path | None,
@@ -46,8 +47,8 @@ def command(
 
     Edits of different things never conflict, whatever lines they are on. Where both sides changed one value differently
     the document keeps ours, says so under `conflicts`, and cannot be compiled until that is decided: mend the value and
-    remove the entry, or take a side with --resolve, for all of them or at the paths given. Exit code 1 where there is a
-    conflict, or where the merged document has an error that neither side has.
+    remove the entry, or take a side with --resolve, for all of them or at the paths given. The exit code is 1 if there
+    is a conflict, or if the merged document has an error that neither side has.
     """
     if driver:
         return _driver(args)
@@ -157,7 +158,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
-        raise CannotError(f"{path} is no UTF-8 text") from None
+        raise CannotError(f"{path} is not UTF-8 text") from None
 
 
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:

@@ -12,7 +12,7 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, print_findings, print_
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Write nothing; exit code 1 if a document is out of date.")
+@click.option("--check", is_flag=True, help="Write nothing, and exit with 1 if a document is out of date.")
 def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     """Bring older documents up to date, in place: their version, and keys that were renamed. Comments stay.
 

@@ -17,21 +17,21 @@ NEXT = {
     "cousins": ("simfoundry check {path}",),
     "policy": ("simfoundry check {path}",),
 }
-"""What to do with a new document of each kind."""
+"""Next steps with a new document of each kind."""
 
 
 @subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
-@click.option("--name", help="What the document is called; default: as its file.")
+@click.option("--name", help="Name the document. Default: after its file.")
 @click.option("--from", "source", type=FILE, metavar="SCENE",
-              help="The scene of a task, or the twin of a recipe; default: the only one beside PATH.")  # fmt: skip
+              help="The scene of a task or the twin of a recipe. Default: the only scene beside PATH.")  # fmt: skip
 @click.option("--extends", type=FILE, metavar="DOCUMENT",
-              help="Make an overlay: a document that says only what differs from another.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace a file that exists.")
+              help="Make an overlay that says only what differs from this document.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 def command(
     words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Start a document: a valid one with comments that say what its keys mean.
+    """Start a valid document with comments that explain its keys.
 
     KIND is scene, task, asset, capture, cousins or policy; it may be left out where PATH says it, as
     desk.scene.yaml does.

@@ -18,7 +18,9 @@ NEW_FILE = click.Path(path_type=Path, dir_okay=False)
 NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
 
 scene_argument = click.argument("scene", type=FILE)
-camera_option = click.option("-c", "--camera", help="A camera of the scene. Default: its viewpoint, or its first.")
+camera_option = click.option(
+    "-c", "--camera", help="Use this camera of the scene. Default: its viewpoint, or its first."
+)
 
 
 def shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:

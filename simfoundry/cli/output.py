@@ -1,4 +1,4 @@
-"""What commands print: findings, JSON, progress; and how errors become exit codes."""
+"""Output of commands: findings, JSON, progress, and exit codes for errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ P = ParamSpec("P")
 DONE, FINDINGS, CANNOT = 0, 1, 2
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-force_option = click.option("--force", is_flag=True, help="Replace the output file even where it was not generated.")
+force_option = click.option(
+    "--force", is_flag=True, help="Replace the output file even if simfoundry did not write it."
+)
 
 
 class CannotError(click.ClickException):
@@ -128,7 +130,7 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
 
 
 def in_colour(stream: TextIO) -> bool:
-    """Whether a stream is a terminal whose user did not ask for plain text (https://no-color.org)."""
+    """Return whether to color a stream: a terminal whose user did not ask for plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
@@ -175,7 +177,7 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 
 
 LINE_S = 10.0
-"""How long [s] a command may be silent in a log: a person who looks at one gets uneasy after about so long."""
+"""Longest silence of a command in a log [s]; people who watch one begin to doubt after about that time."""
 
 
 def _line_now_and_then() -> Callable[[str, float], None]:
@@ -193,8 +195,11 @@ def _line_now_and_then() -> Callable[[str, float], None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error for steps that take long; where it is no terminal, now and then a line."""
-    if quiet:
+    """Show a bar on standard error for long steps, or off a terminal a line now and then.
+
+    ``SIMFOUNDRY_PROGRESS=never`` leaves out the lines, for logs that are compared.
+    """
+    if quiet or (not sys.stderr.isatty() and os.environ.get("SIMFOUNDRY_PROGRESS") == "never"):
         yield lambda stage, share: None
         return
     if not sys.stderr.isatty():  # without rich, which takes long to import

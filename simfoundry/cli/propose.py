@@ -18,19 +18,24 @@ if TYPE_CHECKING:
 
 @subcommand()
 @scene_argument
-@click.option("-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="How many tasks.")
-@click.option("-o", "--out", type=NEW_FOLDER, help="A folder for the task documents.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="What the order starts from.")
-@click.option("--about", multiple=True, metavar="OBJECT", help="Objects that tasks may be about; default: all.")
-@click.option("--payload", type=click.FloatRange(0, min_open=True), help="What a robot lifts [kg]; default: known.")
-@click.option("--vlm", metavar="MODEL", help="Ask a model, as `openai:gpt-5`, instead of the things' affordances.")
-@click.option("--base-url", metavar="URL", help="The address of a server that speaks OpenAI's protocol.")
+@click.option(
+    "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Propose this many tasks."
+)
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed the order of the proposals.")
+@click.option("--about", multiple=True, metavar="OBJECT", help="Propose tasks about this object only; may be repeated.")
+@click.option(
+    "--payload", type=click.FloatRange(0, min_open=True),
+    help="The heaviest object that the robot lifts [kg]. Default: what is known of it.",
+)  # fmt: skip
+@click.option("--vlm", metavar="MODEL", help="Ask this model, as `openai:gpt-5`, instead of enumerating affordances.")
+@click.option("--base-url", metavar="URL", help="Ask a server with OpenAI's protocol at this address.")
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
-              help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
-@click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
+              help="Let the model answer in a typed form, or in the text of the paper's prompt.")  # fmt: skip
+@click.option("-c", "--camera", help="Show the model this camera's picture. Default: the scene's first.")
 @click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
-              help="Where what a task asks for lasts, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
-@click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
+              help="Check in this engine that a reached goal lasts; may be repeated. Default: MuJoCo.")  # fmt: skip
+@click.option("--rejected", is_flag=True, help="Also list the rejected tasks, with the reasons.")
 def command(
     scene: Path,
     count: int,
@@ -49,7 +54,7 @@ def command(
     """Propose tasks for a scene: what its things afford, or what a model sees, each proved to be possible.
 
     A task is accepted if its names exist, it is not done already, physics finds a state in which it is, a robot can
-    take and reach its things, and no other means the same. Exit code 1 where there are fewer than asked for.
+    take and reach its things, and no other means the same. The exit code is 1 if there are fewer than asked for.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.tasks.context import TaskContext

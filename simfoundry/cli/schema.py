@@ -15,8 +15,8 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
 @subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
-@click.option("-o", "--out", type=NEW_FOLDER, help="Write all of them into a folder.")
-@click.option("--standard", is_flag=True, help="Keywords of JSON Schema alone, for strict validators such as ajv.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas into this folder.")
+@click.option("--standard", is_flag=True, help="Use only keywords of JSON Schema, for strict validators such as ajv.")
 def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
     """Print the JSON Schema of a kind of document, or write all of them with -o.
 

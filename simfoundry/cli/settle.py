@@ -13,14 +13,14 @@ from simfoundry.cli.worlds import WorldName
 
 @subcommand(force=True)
 @scene_argument
-@click.option("-o", "--out", type=NEW_FILE, help="Where to write the settled scene.")
+@click.option("-o", "--out", type=NEW_FILE, help="Write the settled scene to this file.")
 @click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
 def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
-    """Let a scene come to rest, and say what moved.
+    """Let a scene come to rest, and report what moved.
 
-    Without -o nothing is written. The output is written in canonical form, without the comments of the input. Exit code
-    1 where an object fails: it moved, tilted, topples when nudged, penetrates, lost its support, fell, or never came to
-    rest.
+    Without -o nothing is written. The output is written in canonical form, without the comments of the input. The exit
+    code is 1 if an object fails: it moved, tilted, topples when nudged, penetrates, lost its support, fell, or never
+    came to rest.
     """
     from simfoundry.runtime.files import write_atomically
     from simfoundry.runtime.outputs import ensure_replaceable

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class VerifyResults(NamedTuple):
-    """What was read back, how machines behaved, and where scenes came to rest."""
+    """Values read back, measured behaviours, and rest poses."""
 
     readings: Sequence[ReadbackResult]
     results: Sequence[BehaviourResult]
@@ -39,14 +39,27 @@ class VerifyResults(NamedTuple):
 
 @subcommand(force=True)
 @click.argument("specs", nargs=-1, type=ANY)
-@click.option("--engine", "engines", multiple=True, metavar="NAME", help="Default: all that are found.")
-@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Measure behaviours, too.")
-@click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False), help="Verify this build.")
-@click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="An interpreter that has engines.")
-@click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
-@click.option("--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True, help="Seconds for a build.")
-@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures.")
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Engines at a time.")
+@click.option(
+    "--engine", "engines", multiple=True, metavar="NAME",
+    help="Verify in this engine; may be repeated. Default: all that are found.",
+)  # fmt: skip
+@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Also measure behaviours.")
+@click.option(
+    "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Verify this build instead of a new one.",
+)  # fmt: skip
+@click.option(
+    "--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="Also look for engines in this interpreter."
+)
+@click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
+@click.option(
+    "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
+    help="Give an engine this many seconds for a build.",
+)  # fmt: skip
+@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures to this file.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Run this many engines at a time."
+)
 def command(
     specs: tuple[Path, ...],
     engines: tuple[str, ...],
@@ -66,8 +79,8 @@ def command(
     Behaviours are machines with a known answer, as a pendulum, and each scene left alone for two seconds; without SPECS
     only those machines are measured. Engines are found in this Python, in those that --python names, and
     in those of SIMFOUNDRY_ENGINES (separated by commas); each runs in a process of its own, so that a crash or a hang
-    is reported and the rest goes on. Exit code 1 where a quantity differs from the scene without the loss report saying
-    so, a behaviour is off without a known reason, or an engine fails.
+    is reported and the rest goes on. The exit code is 1 if a quantity differs from the scene and the loss report does
+    not say so, if a behaviour is off without a known reason, or if an engine fails.
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 

@@ -22,7 +22,7 @@ from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.expert.grasps import down, grasps
 from simfoundry.evaluate.expert.places import places
-from simfoundry.evaluate.expert.policy import Expert
+from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, physics_steps
@@ -55,23 +55,23 @@ ARM = "demo_arm"
 """The arm that is set beside the table: the one that needs no download."""
 
 NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
-"""How far the base may stand from the middle between thing and target, best first, and how far it keeps from all
+"""Distances of the base from the middle between object and target, best first, and its distance from all
 things [m]: its foot is 0.09 m wide, and the elbow needs room beside it."""
 
 NEAREST, MARGIN = 0.30, 0.04
-"""What is closer to the base [m] cannot be grasped from above (0.28 m is measured); of its reach so much is spared."""
+"""Least distance [m] from the base for a grasp from above (0.28 m is measured), and the spared part of the reach."""
 
 SIDES = (180, 135, -135, 90, -90)
-"""Where the base stands, seen from the things: angles to the camera's side [deg]. Opposite, it hides nothing."""
+"""Directions of the base, seen from the objects: angles to the camera's side [deg]. Opposite, it hides nothing."""
 
 EDGE = 0.08
 """The base stands on the table where that leaves this much [m] to its edge."""
 
 ATTEMPTS = 3
-"""How many tasks are tried until one is done."""
+"""Largest number of tasks that are tried until one is done."""
 
 PICTURES, SIZE = 5, (400, 300)
-"""How many pictures are in the strip, and their width and height [px]."""
+"""Number of pictures in the strip, and their width and height [px]."""
 
 SCENE, TASK, STRIP, REPORT = "arm.scene.yaml", "arm.task.yaml", "strip.png", "report.json"
 """The files that are written."""
@@ -82,7 +82,7 @@ CAMERA = "side"
 
 @dataclass(frozen=True, eq=False)
 class ArmDemo:
-    """What the arm did: its ``task`` document and the ``strip`` of pictures, None where there was nothing to do.
+    """The result of the arm: its ``task`` document and the ``strip`` of pictures, None if there was nothing to do.
 
     ``success`` says whether the goal held at the end, ``seconds`` how long the arm took; ``reason`` why it failed.
     """
@@ -172,7 +172,7 @@ def _mark(out: Path) -> None:
 
 
 def _ideas(scene: Scene) -> Iterator[_Idea]:
-    """What could be done, best first: into something rather than onto it, and small things rather than large ones."""
+    """The possible tasks, best first: into something rather than onto it, and small objects rather than large ones."""
     robot = lower_robot("arm", RobotSpec(model=ARM), Path())
     fingers = jaws(robot)
     assert fingers is not None
@@ -199,7 +199,7 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
 
 
 def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
-    """Whether the thing has a place at which the goal would hold."""
+    """True if the object has a place at which the goal would hold."""
     found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
     states = [replace(state, poses=MappingProxyType({**state.poses, idea.thing: place.X_WO})) for place in found]
     try:
@@ -209,7 +209,7 @@ def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Where the arm can stand to reach both, best first: position of its base [m] and the way it faces [rad]."""
+    """Poses of the arm that reach both, best first: position of its base [m] and the way it faces [rad]."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     boxes = {item.name: world_bounds(item, item.X_WO) for item in scene.objects}
@@ -253,7 +253,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
         task = load_task(folder / TASK, Cache.default())
         start = RolloutStart(0, 0, MappingProxyType({}), SceneState.initial(task.scene))
-        expert = Expert(task)
+        expert = ExpertPolicy(task)
         with open_world(task.scene, "mujoco") as world:
             one = rollout(task, start, expert, world)
             strip = _strip(task, start, one, world)
@@ -313,7 +313,7 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """What the camera of the demo sees now; without a GL driver rays draw it, and the arm as an object among others."""
+    """Render the camera of the demo; without a GL driver by ray casts, with the arm as an object among others."""
     if choose_engine() is not Engine.RAYCAST:
         return np.asarray(world.render(CAMERA, *SIZE))
     scene, state = world.scene, world.state()

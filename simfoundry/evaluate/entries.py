@@ -1,4 +1,4 @@
-"""What an evaluation is made of: tasks, whole or from a step on, each with every policy, so many rollouts each."""
+"""Entries of an evaluation: tasks, whole or from a step on, and the policies that are tried on each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
 class TaskPart(StrEnum):
-    """How much of a task is evaluated: all of it, one step alone, or the rest from a step on."""
+    """The part of a task that is evaluated: all of it, one step alone, or the rest from a step on."""
 
     WHOLE = "whole"
     ALONE = "alone"
@@ -50,7 +50,7 @@ class Contender:
     text: str
 
     def choice(self) -> Choice:
-        """What the text means; raises :class:`PolicyError` or :class:`SpecError`."""
+        """Parse the text; raises :class:`PolicyError` or :class:`SpecError`."""
         return parse_policy(self.text)
 
     @property

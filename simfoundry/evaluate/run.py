@@ -42,7 +42,7 @@ FRAME_EVERY = 3
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """What is to be evaluated, and how.
+    """The tasks and policies of an evaluation, with its options.
 
     ``shard`` (i, n) takes every n-th rollout from the i-th on, i from 0. ``cameras`` are those of the videos.
     """
@@ -70,19 +70,19 @@ class RolloutJob:
 
 @dataclass(frozen=True)
 class RolloutOutcome:
-    """What came of a job."""
+    """The record of a job."""
 
     job: RolloutJob
     record: dict[str, Any]
 
     @property
     def answered(self) -> bool:
-        """Whether there is a result: the policy answered, be it with something invalid."""
+        """True if there is a result: the policy answered, be it with something invalid."""
         return is_result(self.record)
 
     @property
     def trouble(self) -> str:
-        """What the policy did wrong; empty where it answered as policies do."""
+        """The fault of the policy; empty if it answered as policies do."""
         return str(self.record["reason"]) if self.record["end"] in (RolloutEnd.INVALID, RolloutEnd.NO_ANSWER) else ""
 
 
@@ -208,7 +208,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
-    """What a reader of a record wants to know besides its conditions."""
+    """Context that a record holds besides the conditions of its rollout."""
     regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
     cousin = cousin_of(task)
     return {
@@ -228,7 +228,7 @@ def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -
 
 
 def _model_name(robot: Robot) -> str:
-    """What a robot is called where its document knows it, else the file of its model."""
+    """The name by which a document knows a robot, else the file of its model."""
     return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
@@ -285,7 +285,7 @@ def _write_video(path: Path, result: Rollout, rate: float) -> None:
 
 @dataclass(frozen=True)
 class _Setting:
-    """What the rollouts of a task share in one process."""
+    """The task, starts, world and judge that the rollouts of a task share in one process."""
 
     task: Task
     starts: tuple[RolloutStart, ...]
@@ -296,12 +296,12 @@ class _Setting:
 @lru_cache(maxsize=1)
 def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
     """Kept for the next rollout of the same task."""
-    from simfoundry.evaluate.rollouts.progress import judge_of
+    from simfoundry.predicates import Judge
 
     cache = Cache.default()
     task = entry.load(cache)
     found = starts(task, rollouts, seed, cache)
-    return _Setting(task, found, open_world(task.scene, engine), judge_of(task.scene))
+    return _Setting(task, found, open_world(task.scene, engine), Judge(task.scene))
 
 
 _open: dict[tuple[TaskEntry | None, str], Policy] = {}
@@ -316,9 +316,9 @@ def _policy(job: RolloutJob, setting: _Setting) -> Policy:
         for stale in [k for k in _open if k[0] is not None]:
             _open.pop(stale).close()
         if isinstance(choice, ExpertChoice):
-            from simfoundry.evaluate.expert.policy import Expert as Scripted
+            from simfoundry.evaluate.expert.policy import ExpertPolicy
 
-            _open[key] = Scripted(setting.task, setting.judge)
+            _open[key] = ExpertPolicy(setting.task, setting.judge)
         else:
             _open[key] = open_policy(choice)
     return _open[key]

@@ -109,7 +109,7 @@ class _Key:
 
 @lru_cache(maxsize=256)
 def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
-    """How far the cells of a grid are outside of a link [m], the centre of its first cell, and the side of one [m]."""
+    """A grid around a link: its cells' distances outside of it, the centre of the first, and the side of one [m]."""
     form = key.form
     if not form.solid or len(form.parts.radius) < 2:  # one convex part has no hollow
         return None
@@ -129,7 +129,7 @@ def _cavity(key: _Key, axis: int, sign: int) -> Cavity | None:
 
 
 def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) -> NDArray[np.float32]:
-    """How far cells are outside of parts [m], float32: exact within 2 cells of a face, else no more than the truth."""
+    """Distances of cells outside of parts [m], float32: exact within 2 cells of a face, else no more than the truth."""
     out = np.full(tuple(shape), np.float32(np.inf))
     axes = [low[k] + cell * np.arange(shape[k]) for k in range(3)]
     for number in range(len(parts.radius)):
@@ -150,7 +150,7 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """How far points (n, 3) are outside of one part [m], (n,), by its faces; exact for what is round."""
+    """Distances of points (n, 3) from one part [m], (n,), by its faces, negative inside; exact for what is round."""
     rows = parts.part[parts.triangles[:, 0]] == number if len(parts.triangles) else np.zeros(0, bool)
     if rows.any():
         normals = parts.normals[rows]
@@ -221,7 +221,7 @@ def _enclosed(found: Mask, wall: Mask) -> Mask:
 
 
 def _met(wall: Mask, dx: int, dy: int) -> Mask:
-    """Whether a level ray from each cell meets a wall."""
+    """Mark the cells from which a level ray meets a wall."""
     if abs(dx) < abs(dy):
         return _met(wall.transpose(1, 0, 2), dy, dx).transpose(1, 0, 2)
     if dx < 0:

@@ -24,7 +24,7 @@ TOGETHER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class HalfSpaces:
     """Convex parts in the world: part k is where ``normals @ x <= offsets`` in the rows from ``first[k]`` on.
 
     ``corners`` [m], shape (n, 3), are those of all parts; ``owner``, shape (n,), the part that each belongs to.
@@ -43,7 +43,7 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """What a line meets first and leaves last of one or more parts: ``start`` to ``end`` along it [m].
+    """A stretch of a line within one part, or several that touch: ``start`` to ``end`` along it [m].
 
     ``facing`` is the smaller of the cosines between the line and the surfaces at its two ends; 1 is head on.
     """
@@ -58,7 +58,9 @@ class Span:
         return self.end - self.start
 
 
-def solid_of(shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True) -> Solid:
+def solid_of(
+    shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True
+) -> HalfSpaces:
     """The half-spaces of posed shapes; of those whose corners [m] are to ``keep``."""
     normals, offsets, corners = [], [], []
     for geometry, X_WG in shapes:
@@ -71,7 +73,7 @@ def solid_of(shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bo
         corners.append(placed)
     first = np.cumsum([0, *(len(n) for n in normals[:-1])])
     owner = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
-    return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners), owner)
+    return HalfSpaces(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners), owner)
 
 
 @lru_cache(maxsize=4096)
@@ -88,13 +90,13 @@ def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
     return planes[:, :3].copy(), planes[:, 3].copy(), surface.vertices
 
 
-def bounds(shape: Solid, axes: Array) -> tuple[Array, Array]:
+def bounds(shape: HalfSpaces, axes: Array) -> tuple[Array, Array]:
     """Lowest and highest coordinates [m] along the columns of ``axes``, shapes (3,)."""
     along = shape.corners @ axes
     return along.min(axis=0), along.max(axis=0)
 
 
-def crossings(shape: Solid, starts: Array, direction: Array) -> list[list[Span]]:
+def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[Span]]:
     """The pieces of each line within the object, in order; ``starts`` [m], shape (n, 3), a unit ``direction``."""
     slope = shape.normals @ direction
     room = shape.offsets - starts @ shape.normals.T
@@ -102,19 +104,21 @@ def crossings(shape: Solid, starts: Array, direction: Array) -> list[list[Span]]
     return [_merged(shape, room[k], slope, entry[k], leave[k]) for k in range(len(starts))]
 
 
-def part_spans(shape: Solid, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
+def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
     """Positions [m] at which lines enter and leave one part, shapes (lines,): first beyond last beside it.
 
     ``starts`` [m], shape (lines, 3), share a unit ``direction``.
     """
     rows = shape.rows(part)
-    alone = Solid(shape.normals[rows], shape.offsets[rows], np.zeros(1, np.intp), shape.corners[:0], shape.owner[:0])
+    alone = HalfSpaces(
+        shape.normals[rows], shape.offsets[rows], np.zeros(1, np.intp), shape.corners[:0], shape.owner[:0]
+    )
     room = alone.offsets - starts @ alone.normals.T
     enter, leave = _clipped(alone, room, np.broadcast_to(alone.normals @ direction, room.shape))
     return enter[:, 0], leave[:, 0]
 
 
-def face_normal(shape: Solid, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
+def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
     """The outward normal of the face of a part through which a line goes in (sign -1) or out (1) at ``at`` [m]."""
     rows = shape.rows(part)
     slope = shape.normals[rows] @ direction
@@ -123,16 +127,16 @@ def face_normal(shape: Solid, start: Array, direction: Array, part: int, at: flo
     return np.asarray(shape.normals[rows][off.argmin()])
 
 
-def met(shape: Solid, start: Array, directions: Array) -> NDArray[np.bool_]:
-    """Which rays from a point [m], shape (3,), meet the object; ``directions``, shape (n, 3)."""
+def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]:
+    """Mark the rays from a point [m], shape (3,), that meet the object; ``directions``, shape (n, 3)."""
     slope = directions @ shape.normals.T
     room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
     entry, leave = _clipped(shape, room, slope)
     return np.asarray(((leave > entry) & (leave > 0)).any(axis=1))
 
 
-def _clipped(shape: Solid, room: Array, slope: Array) -> tuple[Array, Array]:
-    """Where lines enter and leave each part, shapes (lines, parts)."""
+def _clipped(shape: HalfSpaces, room: Array, slope: Array) -> tuple[Array, Array]:
+    """Entry and exit of lines in each part [m], shapes (lines, parts)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / slope
     beside = (np.abs(slope) <= 1e-9) & (room < 0)
@@ -141,7 +145,7 @@ def _clipped(shape: Solid, room: Array, slope: Array) -> tuple[Array, Array]:
     return np.maximum.reduceat(first, shape.first, axis=1), np.minimum.reduceat(last, shape.first, axis=1)
 
 
-def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array) -> list[Span]:
+def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: Array) -> list[Span]:
     inside = np.flatnonzero(leave > entry)
     spans: list[tuple[float, float, int, int]] = []
     for k in inside[np.argsort(entry[inside], kind="stable")]:
@@ -156,8 +160,8 @@ def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array)
     ]
 
 
-def _facing(shape: Solid, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
-    """How much the face of a part looks along a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
+def _facing(shape: HalfSpaces, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
+    """The cosine between the face of a part and a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
     rows = shape.rows(part)
     through = sign * slope[rows]
     off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)

@@ -11,7 +11,7 @@ from simfoundry.geometry.box_distance import BoxField, box_field
 from simfoundry.geometry.exact_distance import LIFT, UP, Candidates
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
-from simfoundry.geometry.part_bounds import Bounds, distance_bounds
+from simfoundry.geometry.part_bounds import Interval, distance_bounds
 from simfoundry.geometry.poses import Index, Poses, rotate
 
 
@@ -95,7 +95,7 @@ def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, 
     return np.array(left, dtype=np.int64)
 
 
-def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Bounds:
+def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:
     """Bounds of the distance in the k-th state, where the first link is raised [m]."""
     X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
     return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
@@ -143,13 +143,6 @@ def from_box(pair: LinkPair) -> FromBox | None:
     return FromBox(field, local, radius, low, high, np.asarray(up, dtype=np.float32))
 
 
-def middles_apart(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """A distance [m] that two links have at least, (n,): of the balls around them."""
-    (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
-    off = X_WA.p + X_WA.R @ ball_a - X_WB.p - X_WB.R @ ball_b
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", off, off)) - size_a - size_b)
-
-
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
     """A distance [m] that two links have at least, (n,): of the ball around each from the box around the other."""
     (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
@@ -181,6 +174,6 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:
-    """How far points lie outside of boxes [m]."""
+    """Distances of points outside of boxes [m]; 0 within."""
     off = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

@@ -95,7 +95,7 @@ class Exact:
         limit: float,
         enough: float = np.inf,
     ) -> tuple[Index, Array, Array]:
-        """Which way the parts of one link push those of another that are no farther than ``limit`` [m].
+        """Directions in which the parts of one link push those of another that are no farther than ``limit`` [m].
 
         Returns the state of each such pair, (m,), its distance [m], (m,), and the unit vector from the second to the
         first, (m, 3). A push whose cosine with up is ``enough`` ends the search in its state.
@@ -139,7 +139,7 @@ class Exact:
         return np.array(states, dtype=np.int64), np.array(gaps), np.array(ways).reshape(-1, 3)
 
     def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
-        """Where the geoms of a link are: (n, geoms, 3) and (n, geoms, 9)."""
+        """Positions and rotations of the geoms of a link: (n, geoms, 3) and (n, geoms, 9)."""
         p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
         turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
         return p, turn.reshape(len(p), -1, 9)

@@ -88,7 +88,7 @@ class Form:
 
     @cached_property
     def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Of each part: the corners of its box [m], (k, 3) twice, and a ball around it, (k, 3) and (k,)."""
+        """The bounds of each part: the corners of its box [m], (k, 3) twice, and a ball around it, (k, 3) and (k,)."""
         rows = []
         for k in range(len(self.parts.radius)):
             corners, r = self.parts.corners[self.parts.part == k], float(self.parts.radius[k])
@@ -125,7 +125,7 @@ def _distinct(ways: Array) -> Array:
 
 
 def _is_backward(ways: Array) -> NDArray[np.bool_]:
-    """Whether the first coordinate that is not zero is negative: of two opposite directions one is."""
+    """Mark directions whose first coordinate that is not zero is negative: of two opposite ones, one is."""
     rounded = np.round(ways, 9)
     first = (rounded != 0).argmax(axis=1)
     return np.asarray(rounded[np.arange(len(ways)), first] < 0)

@@ -66,7 +66,7 @@ class Pose:
 
     @property
     def is_identity(self) -> bool:
-        """Whether this is exactly the identity."""
+        """True for exactly the identity."""
         return self is IDENTITY or (not any(self.p.tolist()) and bool(self.q[0] == 1.0))
 
     def inverse(self) -> Pose:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.geometry.crossings import TOGETHER, Solid, bounds, face_normal, part_spans
+from simfoundry.geometry.crossings import TOGETHER, HalfSpaces, bounds, face_normal, part_spans
 
 DIRECTIONS = 12
 """Closing directions over half a turn, every 15 degrees from the one that most of the side faces look along: boxes and
@@ -73,7 +73,7 @@ class _Run(NamedTuple):
     last: tuple[int, int]
 
 
-def grasp_width(solid: Solid) -> float:
+def grasp_width(solid: HalfSpaces) -> float:
     """Return the least opening [m] of two fingers from above that hold an object as it stands; inf if none does.
 
     It is measured between the outermost points of what the pads take, on lines a few millimetres apart.
@@ -84,7 +84,7 @@ def grasp_width(solid: Solid) -> float:
     return best
 
 
-def _main_direction(solid: Solid) -> float:
+def _main_direction(solid: HalfSpaces) -> float:
     """Azimuth [rad] in [0, pi), to a degree, that most upright faces look along; 0 if there are none."""
     upright = solid.normals[np.abs(solid.normals[:, 2]) < UPRIGHT]
     if not len(upright):
@@ -97,7 +97,7 @@ def _main_direction(solid: Solid) -> float:
 class _Closing:
     """All that fingers may take that close along one level direction."""
 
-    def __init__(self, solid: Solid, azimuth: float) -> None:
+    def __init__(self, solid: HalfSpaces, azimuth: float) -> None:
         self._solid = solid
         self._direction = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
         axes = np.column_stack([[-self._direction[1], self._direction[0], 0.0], self._direction, [0.0, 0.0, 1.0]])

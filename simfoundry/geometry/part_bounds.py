@@ -25,7 +25,7 @@ STEPS = 64
 """Steps of Wolfe's algorithm; faces of a hundred corners need about twenty."""
 
 
-class Bounds(NamedTuple):
+class Interval(NamedTuple):
     """The distance [m] is at least ``lower`` and at most ``upper``; of overlapping parts, ``upper`` is 0."""
 
     lower: float
@@ -41,7 +41,7 @@ class _Part(NamedTuple):
     edges: Array
 
 
-def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Array, Array], limit: float) -> Bounds:
+def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Array, Array], limit: float) -> Interval:
     """Return bounds of the distance of two links, each at a position (3,) and rotation (3, 3).
 
     Parts whose boxes are farther apart than ``limit`` [m] count as that far, and no farther.
@@ -54,7 +54,7 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
             continue
         found = _part_bounds(_part(a, i, X_WA), _part(b, j, X_WB))
         lower, upper = min(lower, found.lower), min(upper, found.upper)
-    return Bounds(lower, upper)
+    return Interval(lower, upper)
 
 
 def _boxes(form: Form, X_WF: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -70,7 +70,7 @@ def _part(form: Form, number: int, X_WF: tuple[Array, Array]) -> _Part:
     return _Part(corners @ turn.T + p, float(form.parts.radius[number]), normals @ turn.T, edges @ turn.T)
 
 
-def _part_bounds(a: _Part, b: _Part) -> Bounds:
+def _part_bounds(a: _Part, b: _Part) -> Interval:
     rounding = a.radius + b.radius
     nearest = _nearest(a.corners, b.corners)
     apart = float(np.linalg.norm(nearest))
@@ -84,10 +84,10 @@ def _part_bounds(a: _Part, b: _Part) -> Bounds:
         axes.append(-nearest[None] / apart)
     ways = np.concatenate(axes)
     if not len(ways):  # two points, or rods, that meet
-        return Bounds(-rounding, apart - rounding)
+        return Interval(-rounding, apart - rounding)
     along = (b.corners @ ways.T).min(axis=0) - (a.corners @ ways.T).max(axis=0)
     slack = PROUD * ((len(a.corners) > 8) + (len(b.corners) > 8))  # prisms around cylinders stand out that much
-    return Bounds(float(along.max()) - rounding - ROUNDING, max(apart - rounding, -rounding) + slack + ROUNDING)
+    return Interval(float(along.max()) - rounding - ROUNDING, max(apart - rounding, -rounding) + slack + ROUNDING)
 
 
 def _nearest(a: Array, b: Array) -> Array:

@@ -50,7 +50,7 @@ def _convex(form: Form) -> Form:
 
 
 def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
-    """How far lines along ``up`` through points, (n, 3), pass boxes of ``middle`` and ``half``, (k, 3): (n, k) [m].
+    """Distances [m], (n, k), of lines along ``up`` through points (n, 3) from boxes of ``middle`` and ``half``, (k, 3).
 
     No more than the truth: only the directions square to ``up`` and to an axis of the box are looked along.
     """
@@ -131,7 +131,7 @@ def _faces(form: Form) -> _Faces:
 
 
 def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """How far within the outlines of parts lines along ``up`` through points, (m, 3), pass [m], (m,).
+    """Depths [m], (m,), at which lines along ``up`` through points, (m, 3), are within the outlines of parts.
 
     Also how far over the points they enter and leave them [m], (m,) each.
     """
@@ -175,7 +175,7 @@ def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Of balls and capsules."""
+    """The chords of lines in balls and capsules."""
     first, last, radius = faces.axis[part, 0], faces.axis[part, 1], faces.radius[part]
     along = last - first
     level = along - np.einsum("mi,mi->m", along, up)[:, None] * up
@@ -204,7 +204,7 @@ def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
-    """Where lines through points enter and leave balls; NaN where they do not."""
+    """Entry and exit of lines through points in balls; NaN for lines that miss."""
     middle = np.einsum("mi,mi->m", away, up)
     with np.errstate(invalid="ignore"):
         half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)

@@ -57,7 +57,7 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What each ray meets, in the order in which the rays came in.
+    """The first hit of each ray, in the order in which the rays came in.
 
     ``triangle`` shape (n,): the index of the triangle, -1 for none; ``inverse_depth`` [1/m] along z, shape (n,), 0 for
     none; ``weights`` barycentric, shape (n, 3).

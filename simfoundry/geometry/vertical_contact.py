@@ -39,7 +39,7 @@ Meetings = Iterator[tuple[Index, Index, Array]]
 
 
 def heights(above: Hulls, below: Hulls) -> Array:
-    """How far each part of ``above`` must be lifted to touch each part of ``below`` from above [m].
+    """Heights [m] by which each part of ``above`` must be lifted to touch each part of ``below`` from above.
 
     Shape (parts above, parts below); negative where it may be lowered, -inf where no lifting or lowering makes the two
     touch, because they do not lie above one another.
@@ -96,7 +96,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Upper:
-    """What of an object can be seen from above, its own parts not hiding one another."""
+    """Corners, edges and faces of an object that look up, its own parts not hiding one another."""
 
     corners: _Group
     edges: _Group

@@ -26,7 +26,7 @@ LOW = 0.25
 
 
 def surrounded(thing: Hulls, container: Hulls) -> bool:
-    """Whether a thing has walls of the container on at least half its sides, around its foot or a little higher."""
+    """Return True if walls of the container stand on at least half the sides of an object, at its foot or higher."""
     bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
     lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
     angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
@@ -61,12 +61,12 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
 
 
 def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
-    """How far a ray goes before it meets a part [m]; inf where it meets none."""
+    """The length of a ray up to the first part [m]; inf if it meets none."""
     return float(free_distances(shape, start, ray[None])[0])
 
 
 def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
-    """How far rays from one point, shape (n, 3), go before they meet a part [m], shape (n,); inf if they meet none."""
+    """The lengths of rays from one point, shape (n, 3), up to the first part [m], shape (n,); inf if they meet none."""
     rounded = [_to_rounded(shape, start, ray) for ray in rays] if (shape.radius > 0).any() else math.inf
     return np.asarray(np.minimum(_to_triangles(shape, start, rays), rounded))
 
@@ -114,7 +114,7 @@ def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
 
 
 def _entry(offset: Array, ray: Array, radius: Array) -> Array:
-    """Where rays from ``offset`` come within ``radius`` of the origin; inf where they do not, ahead of their start."""
+    """The lengths after which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
     square = (ray * ray).sum(axis=1)
     half = (offset * ray).sum(axis=1)
     inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)

@@ -77,7 +77,7 @@ class StartJudge:
         return self._judged(call)
 
     def _is_apart(self, call: Call) -> bool:
-        """Whether the hulls of the two objects of a predicate do not touch."""
+        """Return True if the hulls of the two objects of a predicate do not touch."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
         return (
             bool(approximate) and call.predicate in NEEDS_TOUCH and self._judged(Call("Touching", call.args)) is False

@@ -123,7 +123,7 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
 
 
 def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
-    """What lowering refuses in an asset document."""
+    """Yield what lowering refuses in an asset document."""
     assert isinstance(loaded.spec, AssetSpec)
     work = ObjectLowering(loaded, Cache.default(), draft=True)
     work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)

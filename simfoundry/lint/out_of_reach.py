@@ -53,7 +53,7 @@ def _needed(call: Call) -> tuple[str, ...]:
 
 
 def _distance(draft: DraftScene, hand: Hand, name: str) -> float:
-    """How far the nearest bounds of an object, or of the link that is meant, are from a base along the ground [m]."""
+    """The distance along the ground [m] of a base from the box around an object, or around the link that is named."""
     owner, _, part = name.partition(".")
     at = np.array(hand.at)
     spans = [(low[:2], high[:2]) for low, high in link_bounds(draft.scene.by_name[owner], part)]

@@ -48,7 +48,7 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
 
 
 def sees(camera: Camera, low: Array, high: Array) -> bool:
-    """Whether any of a box may be in the picture: its corners do not all lie beyond one edge of it."""
+    """Return True unless all corners of a box lie beyond one edge of the picture."""
     x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
     x, y = camera.fx * x, camera.fy * y
     right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy

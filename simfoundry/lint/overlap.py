@@ -54,7 +54,7 @@ def neighbours(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
 
 
 def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
-    """Whether the place of one names the other: then lowering has put the two together."""
+    """Return True if the place of one names the other: then lowering has put the two together."""
     places = (draft.spec.objects[one.name].place for one in (a, b))
     carriers = [(place.on or place.inside or "").partition(".")[0] for place in places if place is not None]
     return a.name in carriers or b.name in carriers

@@ -34,7 +34,7 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _is_true(subject: Subject, goal: Any, judge: StartJudge) -> bool:
-    """Whether a goal is certainly true wherever a reset puts the objects."""
+    """Return True if a goal certainly holds wherever a reset puts the objects."""
     calls = [parse_call(text) for text, _ in texts(goal)]
     placed = {arg.partition(".")[0] for c in calls if c.declaration.effect not in INDEPENDENT for arg in c.args}
     return not (placed & subject.task.reset.objects.keys()) and judge.value(goal) is True

@@ -53,7 +53,7 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:
-    """Whether an object meets another at once or on the first :data:`HOVERING` of its way down.
+    """Return True if an object meets another at once or on the first :data:`HOVERING` of its way down.
 
     If one of them is known by its hull only, it is enough that their boxes are that near.
     """
@@ -72,7 +72,7 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Whether something free might rest on an object of which it is not certain where it is."""
+    """Return True if there are objects whose pose is uncertain: anything may rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 

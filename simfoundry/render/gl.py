@@ -20,7 +20,7 @@ print("drawn")
 
 
 class Engine(StrEnum):
-    """What draws: MuJoCo with one of two GL drivers, our own ray caster, or the first of the three that works."""
+    """The renderer: MuJoCo with one of two GL drivers, our own ray caster, or the first of the three that works."""
 
     AUTO = "auto"
     EGL = "egl"
@@ -54,7 +54,7 @@ def working_drivers() -> list[str]:
 
 
 def _obstacle(engine: Engine) -> str | None:
-    """Why MuJoCo cannot draw with this driver in this process, or None if it can."""
+    """The reason why MuJoCo cannot draw with this driver in this process; None if it can."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if platform not in ("", engine.value):  # PyOpenGL binds to one driver for the life of a process
         return f"this process has already chosen the GL driver {platform!r}"

@@ -74,11 +74,11 @@ class MujocoRenderer:
         return self._size
 
     def holds(self, width: int, height: int) -> bool:
-        """Whether a picture of this size can be drawn."""
+        """Return True if a picture of this size can be drawn."""
         return width <= self._size[0] and height <= self._size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
-        """What ``camera`` sees: sRGB, uint8, shape (h, w, 3)."""
+        """The picture of ``camera``: sRGB, uint8, shape (h, w, 3)."""
         picture = self._draw(data, camera, self._fine)
         if self._fine == 1:
             return picture
@@ -87,7 +87,7 @@ class MujocoRenderer:
         return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
-        """Which geom each pixel shows, shape (h, w): 0 for none, else 1 + the geom's id."""
+        """The geom at each pixel, shape (h, w): 0 for none, else 1 + the geom's id."""
         import mujoco
 
         flags = self._scene.flags

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.ray_casts import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
 from simfoundry.render.shading import Points, background, encode_srgb, shade, studio
-from simfoundry.render.surface import Surface, scene_surface
+from simfoundry.render.surface import SceneSurface, scene_surface
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
@@ -24,7 +24,7 @@ BAND = 1_300_000
 
 @dataclass(frozen=True, eq=False)
 class Raycast:
-    """What a camera sees, pixel by pixel; every array is (h, w) or (h, w, 3).
+    """A picture with its geometry, pixel by pixel; every array is (h, w) or (h, w, 3).
 
     ``color`` uint8 sRGB; ``depth`` [m] along the optical axis at the pixel's centre, float64, NaN where nothing is hit;
     ``objects`` int32: 0 where nothing is hit, else 1 + the index in ``scene.objects``; ``normals`` unit, world frame,
@@ -70,7 +70,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     )
 
 
-def _band(scene: Scene, surface: Surface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
+def _band(scene: Scene, surface: SceneSurface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
     """Colour of ``rows`` rows of the picture from ``top`` on, or of what is left of it: a picture of its own."""
     band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
     rays = _pixels(band, samples)
@@ -82,8 +82,8 @@ def _pixels(camera: Camera, samples: int) -> Rays:
     return pixel_rays(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, samples)
 
 
-def _seen(surface: Surface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
-    """What each ray meets first. Of closed surfaces only the outside is seen, so the rest is not even tried."""
+def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
+    """Return the first hit of each ray. Of closed surfaces only the outside is seen, so the rest is not even tried."""
     alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
     faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
     kept = faces_camera | ~surface.closed
@@ -100,14 +100,14 @@ def _directions(rays: Rays, camera: Camera) -> Array:
     return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
 
 
-def _normals(surface: Surface, hits: Hits, directions: Array) -> Array:
+def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
     """Unit shading normals toward the camera, shape (n, 3), where every ray along ``directions`` (n, 3) has hit."""
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
     away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
-def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
+def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
     """Linear colour of each ray, shape (n, 3); where the first hit is translucent, mixed with the opaque one behind."""
     directions = _directions(rays, camera)
     color = background(directions)

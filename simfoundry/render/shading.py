@@ -22,7 +22,7 @@ from simfoundry.geometry.ray_casts import (
     unit,
 )
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.render.surface import Surface
+from simfoundry.render.surface import SceneSurface
 from simfoundry.scene.model import LightType, Scene
 
 SHADOW_BIAS = 2e-4
@@ -103,7 +103,7 @@ class Points:
     groups: int
 
 
-def shade(surface: Surface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
+def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
     """Linear colour of the n hits, shape (n, 3); ``focal_squared`` [px^2] says how large a pixel is."""
     albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
     sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
@@ -132,8 +132,8 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
     return Lamp(unit(p), True, lamp.rgb)
 
 
-def _openness(surface: Surface, at: Points) -> Array:
-    """How much of the sky above it each point sees, in [0, 1], shape (n,); all of it where there is but one group."""
+def _openness(surface: SceneSurface, at: Points) -> Array:
+    """The share of the sky that each point sees, in [0, 1], shape (n,); all of it where there is but one group."""
     open_sky = np.ones(len(at.p))
     if at.groups == 1:
         return open_sky
@@ -155,8 +155,8 @@ def _openness(surface: Surface, at: Points) -> Array:
     return open_sky
 
 
-def _in_shadow(surface: Surface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
-    """Whether something opaque stands between each point and the lamp, shape (n,).
+def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
+    """Mark the points that something opaque keeps from the lamp, shape (n,).
 
     Of a closed surface its far side casts the shadow: the same shadow, and smooth shading keeps its soft terminator.
     """
@@ -190,7 +190,7 @@ def background(directions: Array) -> Array:
     return np.asarray(HORIZON * (1 - up - down) + ZENITH * up + NADIR * down)
 
 
-def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -> Array:
+def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: float) -> Array:
     """Linear base colour of each hit, shape (n, 3): the visual's rgba times its texture."""
     visual = surface.visual[hits.triangle]
     rgb = np.array([v.rgba[:3] for v in surface.visuals], dtype=np.float64)
@@ -204,7 +204,7 @@ def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -
     return color
 
 
-def _textured(surface: Surface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
+def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
     """Texture colour of each hit, shape (n, 3), from the level whose texels are about as large as the pixel."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]

@@ -27,7 +27,7 @@ _CROWDED = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SceneSurface:
     """All m visible triangles of a scene.
 
     ``corners`` [m, world], shape (m, 3, 3); ``normals`` unit, world, at each corner, shape (m, 3, 3); ``uv`` shape
@@ -46,7 +46,7 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """One geometry in its own frame; arrays as in :class:`Surface`."""
+    """One geometry in its own frame; arrays as in :class:`SceneSurface`."""
 
     corners: Array
     normals: Array
@@ -54,7 +54,7 @@ class _Patch:
     closed: bool
 
 
-def scene_surface(scene: Scene, state: SceneState | None = None) -> Surface:
+def scene_surface(scene: Scene, state: SceneState | None = None) -> SceneSurface:
     """The visible triangles of ``scene`` in ``state``, by default the state that the scene describes."""
     state = SceneState.initial(scene) if state is None else state
     patches: list[_Patch] = []
@@ -70,7 +70,7 @@ def scene_surface(scene: Scene, state: SceneState | None = None) -> Surface:
                     visuals.append(visual)
                     owners.append(index)
     sizes = [len(p.corners) for p in patches]
-    return Surface(
+    return SceneSurface(
         corners=np.concatenate([np.zeros((0, 3, 3)), *(p.corners for p in patches)]),
         normals=np.concatenate([np.zeros((0, 3, 3)), *(p.normals for p in patches)]),
         uv=np.concatenate([np.zeros((0, 3, 2)), *(p.uv for p in patches)]),
@@ -97,7 +97,7 @@ def _patch(geometry: Geometry) -> _Patch:
 
 
 def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
-    """Whether every edge is met once in each direction and the volume inside is positive."""
+    """Return True if every edge is met once in each direction and the volume inside is positive."""
     if not len(faces):
         return False
     start, stop = faces.ravel(), np.roll(faces, -1, axis=1).ravel()

@@ -29,7 +29,7 @@ COLORS = {
     "removed": (0xE0, 0x31, 0x31),
     "changed": (0x1C, 0x7E, 0xD6),
 }
-"""What a mark looks like in pictures and in the list (sRGB bytes)."""
+"""Colours of the marks in pictures and in the list (sRGB bytes)."""
 
 SEEN_M, SEEN_DEG = 5e-4, 0.1
 """A move along with something else counts from half a millimetre and a tenth of a degree on: less is how a thing lies
@@ -49,7 +49,7 @@ def mark_of(entry: MemberChange) -> str:
 
 
 def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
-    """What the page says of one document."""
+    """Return the values of one document for the template."""
     lowered = _lowered_sides(comparison)
     comparison = _with_moves(comparison, lowered)
     return {

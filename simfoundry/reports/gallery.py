@@ -10,7 +10,7 @@ from typing import Any
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Reader
 from simfoundry.cousins.run.report import FILE, draw, examples, summary
-from simfoundry.cousins.run.run import Ledger, Plan
+from simfoundry.cousins.run.run import Ledger, RunPlan
 from simfoundry.reports.render import render
 from simfoundry.runtime.files import write_atomically
 
@@ -18,7 +18,7 @@ PAGE = "gallery.html"
 PICTURES = "pictures"
 
 
-def write_gallery(plan: Plan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
+def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
     """Write the page, and the pictures that are not there yet, of at most ``most`` cousins."""
     with Reader() as reader:
         places = islice((place for place in ledger.counted() if place.accepted), most)

@@ -20,7 +20,7 @@ _LETTER, _PADDING, _LINE, _GAP = 0.64, 1.0, 1.5, 0.2
 two, all as shares of the size of the letters."""
 
 _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
-"""How far a label may stand aside, as shares of its width: the line down to the thing starts below the label."""
+"""Shifts of a label to the side, as shares of its width; below 0.5, so that the line to its object starts under it."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Label:
         return self.name if len(self.name) <= LONGEST else f"{self.name[: LONGEST - 1]}…"
 
     def meets(self, other: Label) -> bool:
-        """Whether two labels touch."""
+        """Return whether two labels touch."""
         return (
             abs(self.x - other.x) < (self.width + other.width) / 2
             and self.y - self.height < other.y
@@ -65,7 +65,7 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
 
 
 def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
-    """Where a label may stand inside of the picture, the nearest place first: above its thing, and then below."""
+    """Yield places for a label inside the picture, the nearest first: above its object, then below."""
     height = (_LINE + _GAP) * FONT * aspect
     width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
     above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)

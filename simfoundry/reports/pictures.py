@@ -26,10 +26,10 @@ FROM = (-0.72, -0.62, 0.62)
 """Where the default camera stands, seen from the middle of the scene: behind the robot's right shoulder."""
 
 MARGIN = 1.08
-"""How much room the default camera leaves around the things."""
+"""Room that the default camera leaves around the objects, as a factor on their radius; less would cut outlines."""
 
 RIM = 4
-"""How wide the outline of a changed thing is [px]."""
+"""Width of the outline of a changed object [px]; narrower ones vanish when the page shrinks a picture."""
 
 GOLDEN = (5**0.5 - 1) / 2
 """Hues a golden section apart are far from each other, however many there are."""
@@ -40,7 +40,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Tag:
-    """Where in a picture a thing is seen: ``x`` and ``y`` of the top of its middle, as shares of width and height."""
+    """The place of an object in a picture: ``x`` of its middle and ``y`` of its top, as shares of width and height."""
 
     name: str
     x: float
@@ -60,7 +60,7 @@ class Picture:
 def picture(
     scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]], tints: Mapping[str, Tint] | None = None
 ) -> Picture:
-    """What ``camera`` sees of ``scene``, with the things named in ``colors`` outlined in their colour (sRGB bytes).
+    """Draw ``scene`` as ``camera`` sees it, with the objects named in ``colors`` outlined in their colour (sRGB bytes).
 
     Things without a colour of their own are shown in their tint (sRGB, 0 to 1).
     """

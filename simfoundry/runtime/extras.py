@@ -54,7 +54,7 @@ EXTRAS: Mapping[str, Extra] = MappingProxyType(
                    msgpack="msgpack", pyzmq="zmq", websockets="websockets"),
             _extra("gymnasium", "tasks as `gymnasium` environments", gymnasium="gymnasium"),
             _extra("vlm", "vision-language models that propose tasks and variants",
-                   jinja2="jinja2", pydantic_ai_slim="pydantic_ai"),
+                   pydantic_ai_slim="pydantic_ai"),
             _extra("ray", "cousins on a cluster (`cousins --on ray`)", ray="ray"),
             _extra("drake", "builds checked in Drake (`verify`)", drake="pydrake"),
             _extra("newton", "builds checked in Newton (`verify`)", newton="newton"),

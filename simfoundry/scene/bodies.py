@@ -39,7 +39,7 @@ LEAST_MASS = LEAST_MOMENT = 1e-15
 
 
 class MeshUse(NamedTuple):
-    """How a mesh file is read: its ``scale``, whether it ``touches`` others, and how its solid and colliders are made.
+    """The options of reading a mesh file: its ``scale``, whether it ``touches`` others, its solid and its colliders.
 
     ``solid`` is `given` where the body is weighed already: then the mesh need not be closed.
     """
@@ -184,12 +184,12 @@ class BodyBuilder:
 
 
 def _use(part: PartSpec | None) -> str:
-    """What a part is for; whatever is no part is for both."""
+    """The use of a part; anything else is both seen and touched."""
     return "both" if part is None else part.use
 
 
 def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
-    """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
+    """Names for the convex parts of a piece: numbered, but for a single one whose name no visual has."""
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 

@@ -10,7 +10,7 @@ from simfoundry.scene.model import Joint, JointType
 from simfoundry.scene.trees import Tree
 
 
-def felt_inertias(tree: Tree) -> dict[str, float]:
+def effective_inertias(tree: Tree) -> dict[str, float]:
     """Inertia that a force in each joint with an axis feels in the initial state [kg m^2 or kg], by joint name.
 
     All other joints give way, without friction or motors: it is the least that there can be.

@@ -40,7 +40,7 @@ from simfoundry.spec.models.scene import CameraSpec, LightSpec, SceneSpec
 
 @dataclass
 class Lowering:
-    """What the passes of one lowering share: the document, the options, and the objects of which little is known.
+    """The state that the passes of one lowering share: the document, the options, the objects of which little is known.
 
     ``fetch`` says whether models of robots are downloaded. A ``draft`` reads no meshes: of one whose convex parts no
     ``cache`` has, the hull stands for it, and it is in ``approximate``. In a draft a place that depends on such an
@@ -140,7 +140,7 @@ def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
 
 
 def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
-    """What is wrong with places `inside`, as far as it is certain before meshes that no cache has are cut."""
+    """Findings of places `inside` that are certain before meshes that no cache has are cut."""
     from simfoundry.scene.misfits import certain_misfits, uncut
 
     spec, loaded = lowering.spec, lowering.loaded
@@ -158,7 +158,7 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
 
 
 def _misfits(lowering: Lowering, objects: Mapping[str, SceneObject]) -> Iterator[Diagnostic]:
-    """What is wrong with the places of some objects that depend on no others."""
+    """Findings of the places of some objects that depend on no others."""
     from simfoundry.scene.place import place_all
 
     places = {name: place for name, place in lowering.places.items() if name in objects}
@@ -337,6 +337,6 @@ def _light(name: str, spec: LightSpec) -> Light:
 
 
 def _file_in_project(loaded: Loaded) -> str:
-    """Where a document lies, counted from its project, so that it is the same on every machine."""
+    """The path of a document within its project, the same on every machine."""
     path = loaded.path.resolve()
     return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name

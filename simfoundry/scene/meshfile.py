@@ -37,7 +37,7 @@ def texture_name(png: bytes) -> str:
 
 
 def has_texture(mesh: Mesh) -> bool:
-    """Whether a mesh has both a texture and coordinates to lay it on with."""
+    """Return True for a mesh with a texture and the coordinates to apply it."""
     return mesh.texture is not None and mesh.uv is not None
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """What a camera sees: a geometry posed in its link, with a colour ``rgba`` in [0, 1], shape (4,).
+    """A visual: a geometry posed in its link that cameras see, with a colour ``rgba`` in [0, 1], shape (4,).
 
     A mesh with a texture shows the texture multiplied by ``rgba``.
     """
@@ -38,7 +38,7 @@ class Visual:
 
 @dataclass(frozen=True, eq=False)
 class Collider:
-    """What a contact feels: a primitive or a *convex* mesh posed in its link.
+    """A collider: a primitive or a *convex* mesh posed in its link.
 
     ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
     (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way. ``torsional_friction`` and
@@ -80,7 +80,7 @@ class Link:
 
 
 class JointType(StrEnum):
-    """How a child link moves in its parent."""
+    """The kind of motion between a child link and its parent."""
 
     FIXED = "fixed"
     REVOLUTE = "revolute"
@@ -152,7 +152,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """Where it is closed [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
+        """The closed position [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -160,7 +160,7 @@ class Joint:
 
     @property
     def has_axis(self) -> bool:
-        """Whether one number is its state: it turns about its axis or slides along it."""
+        """True if one number is its state: it turns about its axis or slides along it."""
         return self.type in (JointType.REVOLUTE, JointType.PRISMATIC, JointType.CONTINUOUS)
 
 
@@ -229,7 +229,7 @@ class MountedCamera:
 
 
 class LightType(StrEnum):
-    """How a light shines."""
+    """The kind of a light."""
 
     DISTANT = "distant"
     POINT = "point"
@@ -256,7 +256,7 @@ Splat = Gaussians
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What is seen around the scene and touches nothing, in a frame ``X_WB``: visuals posed in it, or a splat."""
+    """The surroundings of a scene, which nothing touches: visuals posed in a frame ``X_WB``, or a splat."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()

@@ -15,7 +15,7 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
 
 if TYPE_CHECKING:
-    from simfoundry.geometry.crossings import Solid
+    from simfoundry.geometry.crossings import HalfSpaces
 
 
 def hulls(item: SceneObject) -> Hulls:
@@ -33,7 +33,7 @@ def solid(
     state: SceneState | None = None,
     links: Iterable[str] | None = None,
     keep: Callable[[Array], bool] = lambda corners: True,
-) -> Solid:
+) -> HalfSpaces:
     """The colliders of an object, or of some of its links, in a state; those whose corners [m] are to ``keep``.
 
     Without a state the object stands where its scene has it.

@@ -146,7 +146,7 @@ def _rotation(place: Place) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Carrier:
-    """What a thing is put on or in: ``whole`` object, the ``part`` of it that is named, and that part's frame."""
+    """The carrier of a place: the ``whole`` object, the ``part`` of it that is named, and that part's frame."""
 
     name: str
     whole: Hulls
@@ -181,7 +181,7 @@ def _position(
     placed: Mapping[str, SceneObject],
     viewer: Pose | None,
 ) -> Array:
-    """Where the frame of the thing goes in the plane [m], shape (2,); ``shape`` has it at the origin."""
+    """The position of the object's frame in the plane [m], shape (2,); ``shape`` has it at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
@@ -216,7 +216,7 @@ def _axes(viewer: Pose | None) -> tuple[Array, Array]:
 
 
 def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
-    """How far the thing must be lifted to touch its carrier from above [m]; None where it cannot lie there.
+    """The height by which an object must be lifted to touch its carrier from above [m]; None if it cannot lie there.
 
     Of a carrier that covers itself, as a cabinet does its drawer, the highest free space counts in which the thing lies
     on the part that is named and, if it must be ``walled``, has walls around it.
@@ -233,13 +233,13 @@ def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
 
 
 def overlap(thing: Hulls, carrier: Hulls) -> bool:
-    """Whether parts of two shapes overlap where they are, by more than :data:`CLEARANCE` along z."""
+    """Return True if parts of two shapes overlap by more than :data:`CLEARANCE` along z."""
     touching, leaving = heights(thing, carrier), -heights(thing.flipped(), carrier.flipped())
     return bool(((leaving < -CLEARANCE) & (touching > CLEARANCE)).any())
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
-    """Where the thing can lie, from the highest: how far it is lifted, and the part of the carrier it lies on.
+    """The heights at which an object can lie, highest first, each with the part of the carrier below it.
 
     Part i of the thing meets part j of the carrier when it is lifted by ``low[i, j]`` to ``high[i, j]``.
     """
@@ -254,7 +254,7 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
 
 
 def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
-    """Why a thing cannot lie where it is: it misses its carrier, or does not fit."""
+    """The error for an object that misses its carrier or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
         spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
         spot = ", ".join(map(_metres, xy))

@@ -37,7 +37,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """How a gripper moves; every pair is (open, closed).
+    """The joints of a gripper; every pair is (open, closed).
 
     ``command`` are values of the model's actuators, empty where the joints are driven themselves; ``joints`` positions
     [rad or m], of which the first tells how far it is closed; ``follow`` says what closed loops and equations of the
@@ -49,7 +49,7 @@ class Gripper:
     follow: Mapping[str, Follow]
 
     def closed(self, position: float) -> float:
-        """How far it is closed, 0 to 1, where its first joint is at ``position`` [rad or m]."""
+        """The share by which it is closed, 0 to 1, if its first joint is at ``position`` [rad or m]."""
         opened, closed = next(iter(self.joints.values()))
         return min(max((position - opened) / (closed - opened), 0.0), 1.0)
 

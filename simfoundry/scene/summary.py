@@ -64,7 +64,7 @@ def tree(facts: dict[str, Any]) -> str:
 
 
 def _roots(objects: dict[str, Any], children: dict[str | None, list[str]]) -> list[str]:
-    """What stands on nothing, and of each ring of `OnTop`, which has no root, its first."""
+    """The objects that stand on nothing, and the first of each ring of `OnTop`, which has no root."""
     roots, below = list(children.get(None, [])), set[str]()
 
     def add(name: str) -> None:
@@ -124,12 +124,12 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
 
 
 def _shape(geometry: Geometry) -> str:
-    """What a collider is, in a word."""
+    """The kind of a collider in a word."""
     return "convex part" if isinstance(geometry, Mesh) else type(geometry).__name__.lower()
 
 
 def _kind(written: ObjectSpec, item: SceneObject) -> str:
-    """What the spec calls the shape, or how many links an asset has."""
+    """The name of a shape in the spec, or the number of links of an asset."""
     if written.shape is not None:
         return next(iter(type(written.shape).model_fields))
     return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"

@@ -11,7 +11,7 @@ from itertools import combinations
 from simfoundry.scene.model import JointType, SceneObject
 
 
-def silent_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
+def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Pairs of links of an object that do not touch, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
@@ -31,11 +31,11 @@ def silent_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     )
 
 
-def touching_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
+def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Pairs of links of an object that can touch each other, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
-    silent = set(silent_pairs(item))
+    silent = set(excluded_link_pairs(item))
     felt = [link.name for link in item.links if link.colliders]
     return tuple(pair for pair in combinations(felt, 2) if pair not in silent)
 

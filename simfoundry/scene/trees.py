@@ -36,7 +36,7 @@ class Tree:
 
     @property
     def fixed(self) -> bool:
-        """Whether the root is welded to the world."""
+        """True if the root is welded to the world."""
         return self.owner.fixed and self.free_joint is None
 
 

@@ -34,7 +34,7 @@ class CompileJob:
 
 @dataclass(frozen=True)
 class CompileOutcome:
-    """What became of a job: ``state``, the entry file by target, how much was lost; where it failed, why.
+    """The outcome of a job: its ``state``, the entry file by target, the number of losses, and the error if it failed.
 
     ``losses`` counts, by target, what was approximated or dropped. ``error`` is a sentence; ``findings`` are of the
     documents.

@@ -106,7 +106,7 @@ def _unforeseen(error: Exception) -> str:
 
 
 def is_current(out: Path, record: Mapping[str, object]) -> bool:
-    """Whether ``out`` holds, byte by byte and nothing else, what was built with this ``record``."""
+    """Return true if ``out`` holds exactly, byte by byte, what was built with this ``record``."""
     try:
         built = json.loads((out / RECORD).read_bytes())
         hashes: dict[str, str] = built["outputs"]

@@ -1,4 +1,4 @@
-"""How far an engine's own rule for a pair of surfaces is from the geometric mean that a spec means."""
+"""Losses by an engine's own rule for the friction and restitution of a pair, where a spec means the geometric mean."""
 
 from __future__ import annotations
 

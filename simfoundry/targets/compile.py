@@ -48,7 +48,7 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
 
 
 def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """What the simulator does not keep of what the scene uses."""
+    """Yield the losses of the simulator in what the scene uses."""
     from simfoundry.targets.combine import pair_losses
 
     yield from pair_losses(scene, profile.combines, profile.name)

@@ -52,7 +52,7 @@ class Band(Model):
 
 
 class Tolerance(Model):
-    """How far a quantity read back from the simulator may be from the scene."""
+    """The greatest error that `simfoundry verify` accepts, with its reason."""
 
     value: Positive = Field(
         description="Relative for what is read back; in the unit of the behaviour for what is measured."
@@ -61,7 +61,7 @@ class Tolerance(Model):
 
 
 class Tested(Model):
-    """How this profile was put to the test."""
+    """The test that a profile has been put to."""
 
     how: Literal["run", "checked"] = Field(
         description="`run`: loaded in the simulator by its loader; `checked`: read as code, nothing was run."
@@ -71,7 +71,7 @@ class Tested(Model):
 
 
 class Combines(Model):
-    """What the simulator makes of the coefficients of the two surfaces of a contact, where it is no geometric mean."""
+    """The rule by which the simulator combines the coefficients of two surfaces, where it is not the geometric mean."""
 
     friction: Combine | None = Field(None, description="Of two frictions.")
     restitution: Combine | None = Field(None, description="Of two restitutions.")

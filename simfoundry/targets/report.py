@@ -13,7 +13,7 @@ Fates = Mapping[str, Mapping[str, int]]
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
-    """What ``loss.json`` holds, by target.
+    """Return the content of ``loss.json``, by target.
 
     ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated, lose
     it. ``losses`` lists every :class:`~simfoundry.backends.losses.Loss` with its fields.

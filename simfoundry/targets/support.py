@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from simfoundry.backends import BACKENDS, features_of
-from simfoundry.backends.features import FEATURES, Cell, Fidelity
+from simfoundry.backends.features import FEATURES, Fidelity, SupportCell
 from simfoundry.targets.combine import RULES
 from simfoundry.targets.find import Target, find_target, target_names
 
@@ -19,7 +19,7 @@ class Column:
     """A target with what becomes of each feature in it."""
 
     target: Target
-    cells: dict[str, Cell]
+    cells: dict[str, SupportCell]
 
     @property
     def title(self) -> str:
@@ -31,18 +31,20 @@ class Column:
 _TITLES = {"scene": "Scenes", "object": "Objects", "body": "Bodies", "joint": "Joints"}
 
 
-def cells_of(target: Target) -> dict[str, Cell]:
-    """What a target makes of each feature: its backend's table, as its profile changes it."""
+def cells_of(target: Target) -> dict[str, SupportCell]:
+    """Return the fidelity of each feature in a target: its backend's table, as its profile changes it."""
     cells = dict(features_of(target.backend))
     profile = target.profile
     for name, how in profile.restores.items():
-        cells[name] = Cell(None, how)
+        cells[name] = SupportCell(None, how)
     for name in ("friction", "restitution"):
         rule = getattr(profile.combines, name)
         if rule is not None:
-            cells[name] = Cell(Fidelity.APPROXIMATED, f"takes {RULES[rule][0]} of a pair; exact where both are equal")
+            cells[name] = SupportCell(
+                Fidelity.APPROXIMATED, f"takes {RULES[rule][0]} of a pair; exact where both are equal"
+            )
     for name, gap in profile.gaps.items():
-        cells[name] = Cell(Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
+        cells[name] = SupportCell(Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
     return cells
 
 

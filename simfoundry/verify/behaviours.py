@@ -48,20 +48,21 @@ class Behaviour:
 
 
 MU_BOX, MU_RAMP = 0.3, 0.8
+"""Frictions for which any other rule of a pair gives a slip angle at least 2.5 degrees from the geometric mean's."""
 _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
 _SLID_M = 0.01
 """A box slips if it goes this far in one second, which an excess of 0.1 degrees is enough for."""
 
-_SWING = 0.1  # rad
+_SWING = 0.1  # rad: small, so that the series of the period below is exact to a millionth
 _INERTIA, _TORQUE = rigs.pendulum_constants()
 _PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
-_DAMPING = 0.02  # N m s/rad
+_DAMPING = 0.02  # N m s/rad: the swings halve in 5.6 s, over four periods
 _RATE = _DAMPING / (2 * _INERTIA)
 _WEIGHT = rigs.GRAVITY  # of one kilogram [N]
 
 
 def free_fall() -> Measurement:
-    """How far a lopsided body falls in 3 s, over g t^2 / 2."""
+    """Measure how far a lopsided body falls in 3 s, over g t^2 / 2."""
     stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
     moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
     first, last = moments[0], moments[-1]
@@ -82,7 +83,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Which of the boxes slipped in the last second; the time before lets them find their places."""
+    """Return a mask of the boxes that slipped in the last second; the time before lets them find their places."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -146,13 +147,13 @@ def _after_impact(moments: Moments) -> int:
 
 
 def limit_holds() -> Measurement:
-    """How far a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
+    """Measure how far a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
     moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
     return (moments[-1].joints["slider.joint"] - 0.3) * 1000
 
 
 def friction_holds() -> Measurement:
-    """How far a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
+    """Measure how far a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
@@ -175,13 +176,13 @@ _SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
 
 
 def drive_holds() -> Measurement:
-    """Where a motor of 200 N/m with its target at 50 mm holds a slider of 9.81 N [mm]: the weight adds 49 mm."""
+    """Measure where a motor of 200 N/m, target at 50 mm, holds a slider of 9.81 N [mm]: the weight adds 49 mm."""
     moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def follower_keeps() -> Measurement:
-    """How many times as far as its leader a joint has gone that follows it twice as far, while the leader falls."""
+    """Measure the ratio of the ways of a follower, meant to go twice as far, and of its leader, which falls."""
     moments = yield Trial(rigs.scene_of("gear", rigs.geared(2.0)), Run(0.5, 0.1))
     last = moments[-1].joints
     if abs(last["gear.leader"]) < 0.01:
@@ -190,7 +191,7 @@ def follower_keeps() -> Measurement:
 
 
 def passes_through() -> Measurement:
-    """How much farther a box falls that passes through a shelf than one that does not, of a fall of 0.3 s."""
+    """Measure how much farther a box falls that passes through a shelf than one that does not, over a fall of 0.3 s."""
     shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
     boxes = [
         rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))
@@ -220,7 +221,7 @@ def _dropped() -> Scene:
 
 
 def settled_position() -> Measurement:
-    """How far the worst of four things ends from where it should lie, after a fall of 5 mm [mm]."""
+    """Measure how far the worst of four objects ends from where it should lie, after a fall of 5 mm [mm]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     last = moments[-1]
@@ -229,7 +230,7 @@ def settled_position() -> Measurement:
 
 
 def settled_rotation() -> Measurement:
-    """How far the worst of four things has turned after a fall of 5 mm [deg]."""
+    """Measure how far the worst of four objects has turned after a fall of 5 mm [deg]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))

@@ -1,4 +1,4 @@
-"""What an engine holds against what the scene says: every quantity equal, or named in the loss report.
+"""Comparison of an engine with the scene: every quantity is equal, or named in the loss report.
 
 Equal is within the tolerance of the target's profile, relative to the quantity or to a floor below which it is too
 small to matter.
@@ -54,7 +54,7 @@ FLOORS = {
     "effort": 1.0,
     "gravity": 1.0,
 }
-"""Where relative turns into absolute: kg, m, kg m^2, m, rad, and what joints and surfaces have."""
+"""Magnitudes below which an error counts as absolute, in SI units: too small to matter in a tabletop scene."""
 
 SKIN_M = 2.5e-3
 """How far an approximated collision shape may stand from the scene's [m]: Bullet's skin, at both ends and a corner."""
@@ -106,7 +106,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """How many quantities were compared, those that differ without a reason, those with one, and stale losses."""
+    """The number of quantities compared, those that differ without a reason, those with one, and stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -345,7 +345,7 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
 
 
 def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
-    """Whether a loss speaks of a difference; one that approximates covers no more than it says."""
+    """Return true if a loss explains a difference; an approximation covers no more than it states."""
     path = loss.path
     if loss.fidelity is Fidelity.DROPPED:
         return path in keys or path == difference.quantity
@@ -362,7 +362,7 @@ def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: 
 
 
 def _tip(scene: Scene, name: str) -> float:
-    """How far the tips of a convex mesh lie from where they would be with all its faces moved in by Bullet's skin [m].
+    """Return how far the tips of a convex mesh move when all its faces are moved in by Bullet's skin [m].
 
     The sharper they are, the farther.
     """
@@ -379,7 +379,7 @@ def _tip(scene: Scene, name: str) -> float:
 
 
 def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
-    """Whether a coefficient lies among those of the link, for which it may stand."""
+    """Return true if a coefficient lies among those of the link, for which it may stand."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
@@ -387,6 +387,6 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
 
 
 def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
-    """Whether a loss is of something that was compared here, so that it should have been seen."""
+    """Return true if the element of a loss was compared here, so that the loss should have been seen."""
     seen = loss.path in checker.checked and loss.path not in checker.untold
     return "." in loss.path and seen and loss.feature not in engine.restored

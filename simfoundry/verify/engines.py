@@ -33,7 +33,7 @@ class VerifyEngine:
 
     @property
     def spec(self) -> EngineSpec:
-        """How it is called, what it needs, and how it steps."""
+        """The description of the engine: its name, its packages, its solver."""
         assert self.target.profile.engine is not None
         return self.target.profile.engine
 
@@ -49,7 +49,7 @@ class VerifyEngine:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """What it needs as ``module:distribution``, the engine itself first."""
+        """The packages that it needs as ``module:distribution``, the engine itself first."""
         return tuple(f"{module}:{distribution}" for module, distribution in self.spec.modules.items())
 
     @property
@@ -77,7 +77,7 @@ class VerifyEngine:
         return EngineJob(build, run, beside if beside.is_file() else own)
 
     def gap(self, quantity: str) -> Gap | None:
-        """What the profile says of a quantity that the engine does not keep although its build has it.
+        """Return the gap of a quantity that the engine does not keep although its build has it.
 
         The engine then has none of it, or, where there is a ``size``, one that is off by no more than that.
         """
@@ -91,7 +91,7 @@ class VerifyEngine:
         return frozenset(profile.restores.keys() | combined)
 
     def band(self, behaviour: str) -> Band | None:
-        """What it is known to do instead of the right answer."""
+        """Return the values that the engine is known to give instead of the right answer."""
         return self.target.profile.behaviours.get(behaviour)
 
     def tolerance(self, quantity: str) -> float:
@@ -142,7 +142,7 @@ def find_engine(name: str) -> VerifyEngine:
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Where to look, by engine or family, ``""`` for all: what ``--python`` says, then the variable, then here."""
+    """Return the interpreters by engine or family, ``""`` for all: of ``--python``, of the variable, and this one."""
     places: dict[str, list[Path]] = {"": []}
     families = {name for e in (*all_engines(), *engines) for name in (e.name, e.family)}
     for entry in (*options, *environment.get(VARIABLE, "").split(",")):

@@ -1,4 +1,4 @@
-"""What an engine should say of a scene: the same facts, taken from the lowered scene itself."""
+"""The read-back that an engine should give of a scene, taken from the lowered scene itself."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Joint, JointType, Link, Scene, SceneObject, pair_friction
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 from simfoundry.verify.readback import (
     FREE,
     WORLD,
@@ -125,7 +125,7 @@ def _silent(scene: Scene) -> Iterator[str]:
     """Pairs of links that could meet and pass through each other: those that the spec names, and neighbours."""
     static = static_links(scene)
     felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
-    pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
+    pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in excluded_link_pairs(o)]
     for a, b in (*pairs, *scene.no_contact):
         if felt >= {a, b} and not static >= {a, b}:
             yield pair_name(a, b)

@@ -28,13 +28,14 @@ _START = (
 )
 
 PROBE_S = 60.0
+"""Seconds that an interpreter has to say what is installed; only one that hangs takes longer."""
 TIMEOUT_S = 180.0
 """Seconds that an engine has for one build, its start included."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """How long to step a build [s], and how often to write down where things are [s]."""
+    """The duration of a run [s], and the interval between its samples [s]."""
 
     seconds: float
     every: float
@@ -57,7 +58,7 @@ class EngineJob:
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """What a reader says to a job: facts, or moments where it ran; else ``error`` says what went wrong."""
+    """The answer of a reader to a job: a read-back, or the samples of a run; else the ``error``."""
 
     facts: WorldReadback | None
     moments: tuple[Moment, ...]
@@ -71,7 +72,7 @@ def command(python: Path, *arguments: str) -> list[str]:
 
 
 def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
-    """Which of ``module:distribution`` an interpreter can find, with versions."""
+    """Return the versions of those ``module:distribution`` that an interpreter can find."""
     done = subprocess.run(
         command(python, "--probe", *modules), capture_output=True, text=True, timeout=PROBE_S, check=True
     )
@@ -162,7 +163,7 @@ def _how_it_ended(process: subprocess.Popen[str]) -> str:
 
 
 def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
-    """What happened, and the last thing that the engine said."""
+    """Return the answer of an engine that failed, with the last line that it printed."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
     last = f"; it said: {said[-1][:200]}" if said else ""

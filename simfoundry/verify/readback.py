@@ -1,4 +1,4 @@
-"""What an engine says about a build that it loaded, in the scene's terms, and as JSON between processes.
+"""The read-back of an engine: what it holds of a build, in the scene's terms, and as JSON between processes.
 
 None stands for what an engine does not tell, or does not keep. Numbers are SI; poses are ``[x, y, z, qw, qx, qy, qz]``.
 A link goes by the object's name where it is the root, else by ``object.link``; a joint by ``object.joint``. Only numpy
@@ -101,7 +101,7 @@ class WorldReadback:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> WorldReadback:
-        """What :meth:`to_json` wrote."""
+        """Return what :meth:`to_json` wrote."""
         links = {name: _link(entry) for name, entry in data["links"].items()}
         joints = {name: JointReadback(**_tuples(entry)) for name, entry in data["joints"].items()}
         gravity, silent, actuators = (
@@ -112,7 +112,7 @@ class WorldReadback:
 
 @dataclass(frozen=True)
 class Moment:
-    """Where everything is at a time [s]: poses of the objects, positions of the joints [rad or m]."""
+    """A sample of a run at a time [s]: poses of the objects, positions of the joints [rad or m]."""
 
     time: float
     poses: Mapping[str, Numbers]
@@ -124,7 +124,7 @@ class Moment:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
-        """What :meth:`to_json` wrote."""
+        """Return what :meth:`to_json` wrote."""
         return cls(data["time"], {k: tuple(v) for k, v in data["poses"].items()}, data["joints"])
 
     def pose(self, name: str) -> Pose:
@@ -145,7 +145,7 @@ class Session(Protocol):
         ...
 
     def read(self) -> WorldReadback:
-        """What the engine holds."""
+        """Return what the engine holds."""
         ...
 
     def step(self) -> None:
@@ -153,7 +153,7 @@ class Session(Protocol):
         ...
 
     def moment(self, time: float) -> Moment:
-        """Where everything is; ``time`` [s] is only written down."""
+        """Return the present sample; ``time`` [s] is only written down."""
         ...
 
     def close(self) -> None:

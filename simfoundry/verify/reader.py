@@ -52,7 +52,7 @@ def probe(packages: list[str]) -> dict[str, str]:
 
 
 def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
-    """What the engine holds of a build, and where things are while it runs."""
+    """Return what the engine holds of a build, or the samples of a run."""
     try:
         build = Path(job["build"])
         session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
@@ -68,7 +68,7 @@ def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
-    """Where things are at the start and then about every ``every`` seconds, at whole steps."""
+    """Return the samples at the start and then about every ``every`` seconds, at whole steps."""
     steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
     moments = [session.moment(0.0).to_json()]
     for k in range(1, steps + 1):

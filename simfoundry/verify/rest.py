@@ -18,6 +18,7 @@ from simfoundry.verify.readback import Moment, pose_of
 from simfoundry.verify.run import ProofStatus, Report, SceneBuilds
 
 LEFT_ALONE = Run(2.0, 2.0)
+"""Two seconds, in which an object that does not stand falls over."""
 
 NEAR_MM, NEAR_DEG = 1.0, 0.5
 """How far from the others an engine may end, so that any two are within 2 mm and 1 degree."""
@@ -25,7 +26,7 @@ NEAR_MM, NEAR_DEG = 1.0, 0.5
 
 @dataclass(frozen=True)
 class RestResult:
-    """Where an engine left the things of a subject, held against the engine in the middle of all.
+    """The places where an engine left the objects of a scene, held against the engine in the middle of all.
 
     ``mm`` and ``deg`` are those of ``worst``, a thing or a joint.
     """
@@ -45,7 +46,7 @@ class RestResult:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where something ended: a point [m], and an orientation or an angle [rad]."""
+    """The place where an object or joint ended: a point [m], and an orientation or an angle [rad]."""
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None

@@ -35,7 +35,7 @@ class RobotReadback:
 
 
 def expected_robots(scene: Scene, target: str) -> dict[str, RobotReadback | None]:
-    """What ``target`` should hold of each robot; None where it has no model that can be looked into."""
+    """Return what ``target`` should hold of each robot; None if it has no model that can be looked into."""
     return {robot.name: _expected(robot, target) for robot in scene.robots}
 
 
@@ -62,7 +62,7 @@ def _apart(pairs: tuple[str, ...] | None, robots: list[str]) -> tuple[str, ...] 
 
 
 def _pairs(pairs: Mapping[str, float] | None, robots: list[str]) -> dict[str, float] | None:
-    """What a robot slides with is its own affair."""
+    """Return the pairs without those of robots, whose surfaces are as their own files have them."""
     if pairs is None:
         return None
     return {p: mu for p, mu in pairs.items() if not any(_of(end, r) for r in robots for end in p.split("|"))}

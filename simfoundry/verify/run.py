@@ -24,7 +24,7 @@ Report = Callable[[str, int], None]
 
 
 class ProofStatus(StrEnum):
-    """What came out."""
+    """The result of a comparison."""
 
     OK = "ok"
     KNOWN = "known"
@@ -57,7 +57,7 @@ class ReadbackResult:
 
     @property
     def verdict(self) -> ProofStatus:
-        """Whether every quantity is equal or known to be lost."""
+        """The worst that was found: a quantity that differs, one that is known to be lost, or none."""
         if self.comparison is None:
             return ProofStatus.FAILED
         if self.comparison.mismatches:

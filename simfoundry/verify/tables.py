@@ -55,7 +55,7 @@ def behaviours_table(
 
 
 def rested_cell(rested: RestResult) -> str:
-    """How far an engine ends from the others."""
+    """Return how far an engine ends from the others."""
     if rested.verdict is ProofStatus.FAILED:
         return "failed"
     return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is ProofStatus.MISMATCH else "")
@@ -98,7 +98,7 @@ def details(
 
 
 def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult]) -> list[str]:
-    """What engines do not keep, each reason once, with how often it was seen."""
+    """Return what engines do not keep, each reason once, with how often it was seen."""
     counts: dict[str, int] = {}
     for reading in readings:
         for d in reading.comparison.covered if reading.comparison else ():
@@ -133,7 +133,7 @@ def value_text(value: object) -> str:
 
 
 def absent_line(engine: VerifyEngine) -> str:
-    """How to get an engine that was not found."""
+    """Return the line that says how to get an engine that was not found."""
     return f"{engine.name}: {ABSENT}: {engine.spec.install}, or name its interpreter: --python {engine.family}=PATH"
 
 

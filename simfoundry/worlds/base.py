@@ -1,4 +1,4 @@
-"""What every simulator offers here, so that predicates, tasks and checks run on any of them."""
+"""The protocol of a world: what every simulator offers, so that predicates, tasks and checks run on any of them."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class World(Protocol):
         ...
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """What a camera of the scene sees now, robots included: sRGB, uint8, shape (height, width, 3).
+        """Render what a camera of the scene sees now, robots included: sRGB, uint8, shape (height, width, 3).
 
         The camera's picture is scaled evenly, and cut at the middle where the shape is another. Nothing moves by it. A
         KeyError lists the cameras there are; a RenderError says what is missing to draw.
@@ -112,7 +112,7 @@ class World(Protocol):
         ...
 
     def trouble(self) -> str:
-        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
+        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
         ...
 
     def close(self) -> None:

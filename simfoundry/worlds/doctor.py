@@ -1,4 +1,4 @@
-"""What is installed here, what for, and how to get what is not."""
+"""Inventory of what is installed, what it is for, and how to get what is missing."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def _renderers() -> Iterator[Part]:
 
 
 def _models() -> Iterator[Part]:
-    """What asks foundation models: by names and addresses that the user gives; without them nothing is asked."""
+    """Yield the ways to foundation models, by names and addresses that the user gives; else nothing is asked."""
     vlm = EXTRAS["vlm"]
     found = "" if vlm.missing else f"pydantic-ai {_version('pydantic-ai-slim')}"
     purpose = "proposes tasks and variants: `--vlm MODEL`, with the key in its provider's variable"

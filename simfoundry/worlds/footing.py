@@ -1,4 +1,4 @@
-"""What carries a thing, and whether it stands there or would topple."""
+"""The support of an object, and whether it stands there or would topple."""
 
 from __future__ import annotations
 
@@ -21,9 +21,11 @@ STEEP = 0.02
 """Contacts that point up by at least this much hold a thing where none carries it: between the walls of a vessel."""
 
 NUDGE_DEG = 0.5
-"""How far a thing is tilted to see whether it stays: less than the lean of any shelf or hand-set table."""
+"""Tilt of an object to see if it stays: less than the lean of any shelf or hand-set table."""
 
 NUDGE_S = 1.5
+"""Seconds that a nudged object has to fall: more than a pencil on its tip needs."""
+
 TOPPLED = 0.1
 """A nudged thing topples if its centre of mass loses this share of its height over the lowest point."""
 
@@ -47,7 +49,7 @@ def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Whether contacts from below lie all around the centre of mass."""
+    """Return true if contacts from below lie all around the center of mass."""
     center = center_of_mass(item, X_WO)
     below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
     offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
@@ -59,7 +61,7 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Whether an object falls over when it is let go slightly tilted, to either of two sides. It may well roll."""
+    """Return true if an object falls over when it is let go slightly tilted to either of two sides; it may roll."""
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
@@ -86,5 +88,5 @@ def ball_radius(item: SceneObject) -> float | None:
 
 
 def is_ball(item: SceneObject) -> bool:
-    """Whether it is one sphere about its frame, which has no up side."""
+    """Return true if an object is one sphere about its frame, which has no up side."""
     return ball_radius(item) is not None

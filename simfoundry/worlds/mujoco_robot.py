@@ -49,7 +49,7 @@ class MujocoRobotHandle:
         return tuple(self._joints)
 
     def positions(self) -> dict[str, float]:
-        """Where the arm's joints are now [rad or m]."""
+        """Return the positions of the arm's joints [rad or m]."""
         return {name: self._position(joint) for name, joint in self._joints.items()}
 
     def _position(self, joint: int) -> float:
@@ -64,11 +64,11 @@ class MujocoRobotHandle:
         return found
 
     def is_driven(self, name: str) -> bool:
-        """Whether a joint of the arm has an actuator."""
+        """Return true if a joint of the arm has an actuator."""
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
+        """Set where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
         for name, target in targets.items():
             if name not in self._servos:
                 raise unknown_joint(self._robot.name, name, self.joints)
@@ -85,7 +85,7 @@ class MujocoRobotHandle:
         self._data.ctrl[servo] = value
 
     def gripper(self) -> float:
-        """How far the gripper is closed, from 0, open, to 1."""
+        """Return how far the gripper is closed, from 0, open, to 1."""
         gripper = self._native.gripper
         if gripper is None:
             return 0.0
@@ -93,7 +93,7 @@ class MujocoRobotHandle:
         return gripper.closed(self._position(first))
 
     def set_gripper(self, closed: float) -> None:
-        """How far the gripper is to close: 0 open, 1 closed."""
+        """Set how far the gripper is to close: 0 open, 1 closed."""
         gripper = self._native.gripper
         if gripper is None:
             return

@@ -119,7 +119,7 @@ class MujocoWorld(Judging):
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
         for item in self.scene.objects:
-            X_OW, X_OT = poses[item.name].inverse(), dict[str, Pose]()
+            X_OT = dict[str, Pose]()
             for joint in item.joints:
                 name = f"{item.name}.{joint.name}"
                 if joint.type is not JointType.FIXED:
@@ -129,7 +129,7 @@ class MujocoWorld(Judging):
                 elif joint.type is JointType.BALL:
                     motions[name] = Pose.of(q=self.data.qpos[start : start + 4])
                 elif joint.type is JointType.FREE:
-                    X_OT[joint.child] = X_OW @ self._free_pose(start)
+                    X_OT[joint.child] = poses[item.name].inverse() @ self._free_pose(start)
             if X_OT:
                 found = free_motions(item, SceneState(poses, joints, motions).of_object(item), X_OT)
                 motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
@@ -154,7 +154,7 @@ class MujocoWorld(Judging):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """What a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
+        """Render what a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
         view = camera_of(self, camera, width, height)
         renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
         # After a step, what is drawn would be where it was before it.
@@ -183,7 +183,7 @@ class MujocoWorld(Judging):
             self._renderers.popitem()[1].close()
 
     def trouble(self) -> str:
-        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
+        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
         warnings = self._mujoco.mjtWarning
         bad = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
         if any(self.data.warning[int(kind)].number for kind in bad):

@@ -38,7 +38,7 @@ class PybulletRobotHandle:
         return tuple(self._facts["arm"])
 
     def positions(self) -> dict[str, float]:
-        """Where the arm's joints are now [rad or m]."""
+        """Return the positions of the arm's joints [rad or m]."""
         return {name: self._position(joint) for name, joint in self._facts["arm"].items()}
 
     def _position(self, joint: str) -> float:
@@ -50,7 +50,7 @@ class PybulletRobotHandle:
         return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
+        """Set where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
         for name, target in targets.items():
             if name not in self._facts["arm"]:
                 raise unknown_joint(self._name, name, self.joints)
@@ -69,13 +69,13 @@ class PybulletRobotHandle:
             self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
 
     def gripper(self) -> float:
-        """How far the gripper is closed, from 0, open, to 1."""
+        """Return how far the gripper is closed, from 0, open, to 1."""
         if not self._gripper.joints:
             return 0.0
         return self._gripper.closed(self._position(next(iter(self._gripper.joints))))
 
     def set_gripper(self, closed: float) -> None:
-        """How far the gripper is to close: 0 open, 1 closed."""
+        """Set how far the gripper is to close: 0 open, 1 closed."""
         share = min(max(closed, 0.0), 1.0)
         for joint, (start, end) in self._gripper.joints.items():
             if joint in self._facts["motors"]:
@@ -105,7 +105,7 @@ class PybulletRobotHandle:
         return tuple(self._facts["joints"])
 
     def model_positions(self) -> dict[str, float]:
-        """Where all joints that move are [rad or m], by the model's names."""
+        """Return the positions of all joints that move [rad or m], by the model's names."""
         names = self.moving
         states = self._call("getJointStates", self._body, [self._index[name] for name in names])
         return {name: float(state[0]) for name, state in zip(names, states, strict=True)}

@@ -210,7 +210,7 @@ class PybulletWorld(Judging):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """What a camera of the scene sees now, by TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
+        """Render what a camera of the scene sees now, by TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
@@ -219,7 +219,7 @@ class PybulletWorld(Judging):
         return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
 
     def trouble(self) -> str:
-        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
+        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
         for name, body in self.bodies.items():
             p, q = self._call("getBasePositionAndOrientation", body)
             if not np.isfinite([*p, *q]).all():

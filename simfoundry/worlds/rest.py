@@ -17,6 +17,7 @@ MAX_MOVED = 0.01
 """What moves farther than this [m] does not stay."""
 
 MAX_TURNED_DEG = 5.0
+"""An object that turns by more does not stay; 5 degrees move the far side of a mug by about MAX_MOVED."""
 
 
 def is_still(item: SceneObject, before: Pose, after: Pose, still_m: float, still_rad: float) -> bool:
@@ -38,7 +39,7 @@ def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
 
 @dataclass(frozen=True)
 class ObjectMotion:
-    """How far an object got from where it started: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
+    """The motion of an object from where it started: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
 
     name: str
     moved: float
@@ -46,7 +47,7 @@ class ObjectMotion:
 
     @property
     def stays(self) -> bool:
-        """Whether that is no more than what two simulators may disagree on."""
+        """True if that is no more than what two simulators may disagree on."""
         return self.moved <= MAX_MOVED and self.turned_deg <= MAX_TURNED_DEG
 
 

@@ -17,7 +17,7 @@ class WorldRobot(Protocol):
         ...
 
     def positions(self) -> dict[str, float]:
-        """Where the arm's joints are now [rad or m]."""
+        """Return the positions of the arm's joints [rad or m]."""
         ...
 
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -25,18 +25,18 @@ class WorldRobot(Protocol):
         ...
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Where joints of the arm are to go [rad or m], within their limits; the others keep their targets.
+        """Set where joints of the arm are to go [rad or m], within their limits; the others keep their targets.
 
         A KeyError names a joint that the robot lacks.
         """
         ...
 
     def gripper(self) -> float:
-        """How far the gripper is closed, from 0, open, to 1. A robot without one is always at 0."""
+        """Return how far the gripper is closed, from 0, open, to 1. A robot without one is always at 0."""
         ...
 
     def set_gripper(self, closed: float) -> None:
-        """How far the gripper is to close: 0 open, 1 closed; values beyond are cut off."""
+        """Set how far the gripper is to close: 0 open, 1 closed; values beyond are cut off."""
         ...
 
     def frame(self, name: str) -> Pose:

@@ -56,7 +56,7 @@ class SettleOptions:
 
 @dataclass(frozen=True)
 class ObjectSettle:
-    """What settling did to one object.
+    """The effect of settling on one object.
 
     ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is how far it moved
     from its fitted pose, ``tilt_deg`` how far its up axis turned, ``turn_deg`` how far it turned at all. ``supports``
@@ -76,12 +76,12 @@ class ObjectSettle:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is wrong with it."""
+        """True if nothing is wrong with it."""
         return not self.problems
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettleResult:
     """The poses at rest, what happened to each free object, and which never came to rest or fell off the scene."""
 
     state: SceneState
@@ -90,12 +90,12 @@ class Settled:
 
     @property
     def at_rest(self) -> bool:
-        """Whether everything came to rest on something."""
+        """True if everything came to rest on something."""
         return not self.lost
 
     @property
     def passed(self) -> bool:
-        """Whether everything came to rest and every object passed."""
+        """True if everything came to rest and every object passed."""
         return self.at_rest and all(o.passed for o in self.objects)
 
     def to_json(self) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def settle(
     options: SettleOptions | None = None,
     progress: Progress | None = None,
     state: SceneState | None = None,
-) -> Settled:
+) -> SettleResult:
     """Settle the scene of a world from ``state``, by default its own. The world is left in the settled state."""
     options = options or SettleOptions()
     world.reset(state)
@@ -140,7 +140,7 @@ def settle(
         if not item.fixed:
             problems = _what_happened(item.name, restless, fallen, toppling)
             reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
-    return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
+    return SettleResult(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
 def _restless(scene: Scene, before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
@@ -265,6 +265,6 @@ def _deepest(name: str, contacts: list[Contact]) -> float:
 
 
 def _tilt_deg(start: Pose, end: Pose) -> float:
-    """How far the body axis that pointed up at the start has turned from the vertical [deg]."""
+    """Return how far the body axis that pointed up at the start has turned from the vertical [deg]."""
     up = start.inverse().rotation @ np.array([0.0, 0.0, 1.0])
     return math.degrees(math.acos(float(np.clip((end.rotation @ up)[2], -1.0, 1.0))))

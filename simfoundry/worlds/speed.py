@@ -1,4 +1,4 @@
-"""How far from its frame an object reaches: what turns a rotation into a speed."""
+"""The extent of an object about its frame, which turns a rotation into a speed."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ class DrakeSession:
         return None
 
     def _target(self, actuator: Any) -> Numbers:
-        """Where a controller pulls to; nothing where nobody tells it, which disarms it."""
+        """Return where a controller pulls to; nothing if its port is not connected, which disarms it."""
         model = actuator.model_instance()
         port = self.plant.get_desired_state_input_port(model)
         if not port.HasValue(self._context):

@@ -1,4 +1,4 @@
-"""Which geoms of a MuJoCo model meet, and with which friction, by MuJoCo's own rules for masks and priorities."""
+"""The contacts of a MuJoCo model and their frictions, by MuJoCo's own rules for masks and priorities."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PROXY = ":proxy"
 
 
 class Resistance(NamedTuple):
-    """What a contact resists with: friction, and resistance against spinning and rolling [m]."""
+    """The resistance of a contact: friction, and resistance against spinning and rolling [m]."""
 
     friction: float
     spinning: float
@@ -51,16 +51,16 @@ class Meetings:
         self._forms: list[Form] = [(*row, friction) for row, friction in zip(rows, frictions, strict=True)]
 
     def contact(self, a: list[int], b: list[int]) -> Resistance | None:
-        """What two colliders resist each other with, by their geoms; None where they never meet."""
+        """Return the resistance between two colliders, by their geoms; None if they never meet."""
         found = [met for one in a for other in b if (met := self._meet(one, other)) is not None]
         return None if not found else found[0] if len(found) == 1 else AMBIGUOUS
 
     def surface(self, geom: int) -> Resistance:
-        """What a geom says of itself."""
+        """Return the resistance that a geom itself states."""
         return resistance(self._forms[geom][4], self._forms[geom][3])
 
     def touch(self, a: int, b: int) -> bool:
-        """Whether any colliders of two bodies meet."""
+        """Return true if any colliders of two bodies meet."""
         ours, theirs = self.colliders.get(a, {}), self.colliders.get(b, {})
         return any(self.contact(one, other) is not None for one in ours.values() for other in theirs.values())
 
@@ -88,7 +88,7 @@ class Meetings:
         return resistance(slide_a, dim_a) if priority_a > priority_b else resistance(slide_b, dim_b)
 
     def _apart(self, a: int, b: int) -> bool:
-        """Whether two bodies never meet: excluded, welded to each other, or joined; what is in the world joins none."""
+        """Return true if two bodies never meet: excluded, welded to each other, or joined (the world joins none)."""
         a, b = min(a, b), max(a, b)
         one, two = self._weld[a], self._weld[b]
         joined = bool(one and two) and (one == self._above[b] or two == self._above[a])
@@ -96,6 +96,6 @@ class Meetings:
 
 
 def resistance(friction: Sequence[float], dimensions: int) -> Resistance:
-    """Of MuJoCo's three coefficients those that count in contacts of so many dimensions."""
+    """Return those of MuJoCo's three coefficients that count in contacts of so many dimensions."""
     sliding, spinning, rolling = friction
     return Resistance(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)

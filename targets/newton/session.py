@@ -39,7 +39,7 @@ _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): 
 
 @dataclass(frozen=True)
 class Names:
-    """How the labels of an importer say which link, collider and joint of the scene they stand for.
+    """The mapping from the labels of an importer to the links, colliders and joints of the scene.
 
     ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
     the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
@@ -108,7 +108,7 @@ class NewtonSession:
         """Newton frees its arrays with the objects."""
 
     def _held(self) -> dict[int, str]:
-        """What the first joint above each body hangs it on; any other closes a loop."""
+        """Return the parent that the first joint above each body connects it to; any other joint closes a loop."""
         names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)

@@ -69,7 +69,7 @@ class PybulletSession:
 
     @property
     def timestep(self) -> float:
-        """As the build says."""
+        """Seconds a step, from the build."""
         return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
 
     def step(self) -> None:

@@ -45,12 +45,12 @@ def open_build(folder: Path, loader: ModuleType) -> Session:
     """The scene as its loader gives it."""
     scene, world = loader.load()
     files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
-    return SapienSession(scene, world, Told(_collider_names(folder), _own_damping(files), loader.HOLD))
+    return SapienSession(scene, world, BuildNames(_collider_names(folder), _own_damping(files), loader.HOLD))
 
 
 @dataclass(frozen=True)
-class Told:
-    """What the build says and SAPIEN does not.
+class BuildNames:
+    """The parts of a build that SAPIEN does not tell.
 
     The names of ``colliders`` in the order of the files, by object and link; the ``damping`` of joints by themselves,
     to which a motor's adds; ``holds`` is the damping of a drive that stands for Coulomb friction.
@@ -85,7 +85,7 @@ class SapienSession:
 
     timestep = TIMESTEP
 
-    def __init__(self, scene: sapien.Scene, world: dict[str, Any], told: Told) -> None:
+    def __init__(self, scene: sapien.Scene, world: dict[str, Any], told: BuildNames) -> None:
         self.scene, self.world, self.told = scene, world, told
         scene.timestep = self.timestep
         self._links: dict[str, physx.PhysxRigidBaseComponent] = {}

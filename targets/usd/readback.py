@@ -90,7 +90,7 @@ class UsdSession:
         return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
 
     def _held(self) -> dict[str, str | None]:
-        """What holds each link: a joint's other end; nothing, if it is a rigid body; else, if it is a root, the world.
+        """Return the parent of each link: a joint's other end; none for a rigid body; else, for a root, the world.
 
         Of other links of an object that cannot move a stage does not tell what they hang on.
         """

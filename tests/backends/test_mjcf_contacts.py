@@ -16,12 +16,19 @@ import pytest
 
 from simfoundry.backends.losses import Size
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.contact_rules import MAX_PAIRS, PROXY, Surface, desired_contact, exact_model, solref
+from simfoundry.backends.mjcf.contact_rules import (
+    MAX_PAIRS,
+    PROXY,
+    ContactSurface,
+    desired_contact,
+    exact_model,
+    solref,
+)
 from simfoundry.backends.mjcf.contacts import object_geoms
 from simfoundry.runtime.plugins import import_file
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid
@@ -31,7 +38,7 @@ HULLS = 6
 Meetings = import_file(shipped("targets/mujoco") / "contacts.py").Meetings
 
 
-def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObject:
+def many(name: str, surface: ContactSurface, x: float, fixed: bool = False) -> SceneObject:
     """A stack of boxes, each a collider: as a decomposed thing."""
     plain = solid(name, box(0.1, 0.1, 0.02), pose(x, 0, 0.5), fixed=fixed)
     parts = tuple(
@@ -45,21 +52,21 @@ def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObj
 def crowd(surfaces: int, each: int) -> Scene:
     """Things of so many surfaces, so many of each, with two tables and a floor like the first."""
     kinds = [
-        Surface(0.2 + 0.05 * k, 0.3 if k % 3 == 2 else 0.0, 0.004 if k == 1 else 0.0, 0.002 if k == 3 else 0.0)
+        ContactSurface(0.2 + 0.05 * k, 0.3 if k % 3 == 2 else 0.0, 0.004 if k == 1 else 0.0, 0.002 if k == 3 else 0.0)
         for k in range(surfaces)
     ]
     things = [many(f"thing_{k}_{n}", kind, 0.3 * n + 3 * k) for k, kind in enumerate(kinds) for n in range(each)]
     tables = [
-        many("table", Surface(0.9, 0.1, 0.0, 0.0), -5, fixed=True),
-        many("desk", Surface(0.5, 0.4, 0.001, 0.0), -8, fixed=True),
+        many("table", ContactSurface(0.9, 0.1, 0.0, 0.0), -5, fixed=True),
+        many("desk", ContactSurface(0.5, 0.4, 0.001, 0.0), -8, fixed=True),
         many("floor", kinds[0], -9, fixed=True),
     ]
     return scene_of(*tables, *things)
 
 
-def expected(scene: Scene) -> Iterator[tuple[str, str, Surface]]:
+def expected(scene: Scene) -> Iterator[tuple[str, str, ContactSurface]]:
     """Every two colliders that can meet, with what their contact should feel like."""
-    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in silent_pairs(o)}
+    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in excluded_link_pairs(o)}
     silent |= {frozenset(pair) for pair in scene.no_contact}
     geoms = [geom for item in scene.objects for geom in object_geoms(item)]
     for a, b in product(geoms, geoms):
@@ -164,6 +171,27 @@ def test_a_scene_of_many_pairs_has_those_of_its_tables_and_says_which_it_has_not
     check_contacts(scene, in_memory(scene))
 
 
+def test_two_hundred_objects_of_three_frictions_fit_in_files_that_a_person_can_read() -> None:
+    """8,778 pairs, 1.09 MB, when every pair was written."""
+    table = with_material(solid("table", box(4, 4, 0.04), pose(0, 0, -0.02), friction=0.6, fixed=True), "wood")
+    things = [
+        with_material(
+            solid(f"thing_{k}", box(0.05, 0.04, 0.06), pose(0.12 * (k % 15), 0.12 * (k // 15), 0.03), friction=mu), name
+        )
+        for k in range(200)
+        for mu, name in [((0.3, 0.5, 0.7)[k % 3], ("ice", "ceramic", "rubber")[k % 3])]
+    ]
+    scene = scene_of(table, *things)
+    files = compile_mjcf(scene).files
+    sizes = {path: len(data) for path, data in files.items() if path.endswith(".xml")}
+    assert sizes["scene.xml"] < 150_000 and sum(sizes.values()) < 400_000
+    model = exact_model(files)
+    for name in ("table.shape", "thing_1.shape"):
+        assert friction(model, name, "thing_0.shape") == pytest.approx(
+            math.sqrt(0.3 * (0.6 if "table" in name else 0.5))
+        )
+
+
 def pairs_of(model: mujoco.MjModel) -> list[tuple[str, str]]:
     ends = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
     return [(model.geom(a).name, model.geom(b).name) for a, b in ends]
@@ -242,8 +270,9 @@ def test_mass_pose_and_joint_can_be_edited_by_hand(
 
 
 def friction(model: mujoco.MjModel, a: str, b: str) -> float:
-    (found,) = (met.friction for one, other, met in Meetings(model).contacts() if {one, other} == {a, b})
-    return float(found)
+    meetings = Meetings(model)
+    geoms = {name: found for by_name in meetings.colliders.values() for name, found in by_name.items()}
+    return float(meetings.contact(geoms[a], geoms[b]).friction)
 
 
 CERAMIC = ('<geom friction="0.35" />', '<geom friction="0.2" />')
@@ -313,9 +342,9 @@ def test_a_box_slides_where_its_two_surfaces_say() -> None:
 
 def slides(angle: float) -> bool:
     """Whether a stack of boxes on a table slides where gravity leans by ``angle`` [rad]."""
-    thing = many("thing", Surface(0.3, 0.0, 0.0, 0.0), 0)
+    thing = many("thing", ContactSurface(0.3, 0.0, 0.0, 0.0), 0)
     thing = replace(thing, X_WO=pose(0, 0, 0.01))  # on the table, whose top is at 0
-    table = many("table", Surface(0.8, 0.0, 0.0, 0.0), 0, fixed=True)
+    table = many("table", ContactSurface(0.8, 0.0, 0.0, 0.0), 0, fixed=True)
     table = replace(
         table,
         X_WO=pose(0, 0, -0.3),

@@ -116,7 +116,7 @@ def test_links_and_joints_read_back(compiled: tuple[Scene, Usd.Stage]) -> None:
     assert_joints(scene, found, 1e-6)
     for name, item, k in links_of(scene):
         frictions = [c.friction for c in found.links[name].colliders or ()]
-        np.testing.assert_allclose(frictions, [c.friction for c in item.links[k].colliders], rtol=1e-6)
+        assert frictions == pytest.approx([c.friction for c in item.links[k].colliders], rel=1e-6)
 
 
 def test_state_and_joint_frames_agree_with_kinematics(compiled: tuple[Scene, Usd.Stage]) -> None:

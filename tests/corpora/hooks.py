@@ -88,7 +88,7 @@ def explained(folder: Path) -> bool:
         check=False,
     )
     rules = json.loads(done.stdout)["runs"][0]["tool"]["driver"]["rules"]
-    return all("**How to mend it.**" in rule["help"]["markdown"] for rule in rules)
+    return all("**How to fix it.**" in rule["help"]["markdown"] for rule in rules)
 
 
 def main() -> int:

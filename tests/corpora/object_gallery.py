@@ -9,14 +9,14 @@ import numpy as np
 from PIL import Image
 
 from simfoundry.cousins.objects.generation import picture_of
-from simfoundry.cousins.objects.item import Item
+from simfoundry.cousins.objects.item import ObjectAsset
 from simfoundry.cousins.objects.variants import Variants, write
 
 CELL = 112
 PAPER = (238, 239, 242)
 
 
-def draw(path: Path, rows: list[tuple[str, Item, Variants]]) -> None:
+def draw(path: Path, rows: list[tuple[str, ObjectAsset, Variants]]) -> None:
     """Write the picture as a PNG."""
     from tempfile import TemporaryDirectory
 
@@ -28,13 +28,13 @@ def draw(path: Path, rows: list[tuple[str, Item, Variants]]) -> None:
             with TemporaryDirectory() as folder:
                 write(variant, Path(folder))
                 files = {file: Path(folder) / file for file in variant.files}
-                item = Item(name, twin.category, variant.spec, variant.name, files)
+                item = ObjectAsset(name, twin.category, variant.spec, variant.name, files)
                 sheet.paste(_cell(item), ((k + 1) * CELL, row * CELL))
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(path)
 
 
-def _cell(item: Item) -> Image.Image:
+def _cell(item: ObjectAsset) -> Image.Image:
     with Image.open(io.BytesIO(picture_of(item, CELL))) as picture:
         paper = Image.new("RGBA", picture.size, (*PAPER, 255))
         paper.alpha_composite(picture)

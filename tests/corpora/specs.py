@@ -24,7 +24,7 @@ from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
 from simfoundry.worlds import open_world
 from simfoundry.worlds.footing import is_ball
-from simfoundry.worlds.settle import Settled, settle
+from simfoundry.worlds.settle import SettleResult, settle
 from tests.specs.documents import SCENES, TASKS, lowered, name_of, task_at
 
 ENGINES = ("mujoco", "pybullet")
@@ -153,7 +153,7 @@ def _place(call: Call, more: dict[str, object]) -> Place:
 def _rest(scene: Scene, engine: str) -> Rest:
     """What settling does to a scene. A ball may roll in what holds it, because nothing here resists rolling."""
     with open_world(scene, engine) as world:
-        settled: Settled = settle(world)
+        settled: SettleResult = settle(world)
     balls = {o.name for o in scene.objects if is_ball(o)}
     steady = [o for o in settled.objects if o.name not in balls]
     problems = [f"{o.name} {problem}" for o in steady for problem in o.problems]

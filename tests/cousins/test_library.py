@@ -11,8 +11,8 @@ import pytest
 from simfoundry.cousins.recipe.candidate import ImpossibleError
 from simfoundry.cousins.recipe.document import read_recipe
 from simfoundry.cousins.recipe.library import (
-    Item,
     Library,
+    LibraryItem,
     default_folder,
     filtered,
     lowered,
@@ -166,7 +166,7 @@ def test_the_shipped_library_is_whole() -> None:
     assert library.faults == () and len(library.items) >= 24
     shipped = REPOSITORY / "specs" / "assets"
     assert {p.name for p in default_folder().iterdir()} == {p.name for p in shipped.iterdir()}
-    assert all(isinstance(i, Item) and 0.005 < i.mass < 20 and 50 < i.density < 9000 for i in library.items)
+    assert all(isinstance(i, LibraryItem) and 0.005 < i.mass < 20 and 50 < i.density < 9000 for i in library.items)
     assert isinstance(library, Library)
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from simfoundry.cousins.objects.checks import Needs, Twin, faults, needs_of
+from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults, needs_of
 from simfoundry.cousins.objects.geometry import stretched
 from simfoundry.cousins.objects.item import lowered
 from simfoundry.cousins.objects.parts import each, parts_of, shaped, with_parts
@@ -34,15 +34,15 @@ def needs(task: str, name: str) -> Needs:
 
 
 @cache
-def twin(task: str, name: str, asset: str) -> Twin:
-    return Twin.of(lowered(item(asset).spec, ASSETS, name), needs(task, name))
+def twin(task: str, name: str, asset: str) -> ObjectBaseline:
+    return ObjectBaseline.of(lowered(item(asset).spec, ASSETS, name), needs(task, name))
 
 
 def thing(spec: AssetSpec, name: str) -> SceneObject:
     return lowered(spec, ASSETS, name)
 
 
-def first(spec: AssetSpec, name: str, of: Twin, category: str) -> tuple[str, str]:
+def first(spec: AssetSpec, name: str, of: ObjectBaseline, category: str) -> tuple[str, str]:
     reason = next(faults(thing(spec, name), of, category), None)
     return ("", "") if reason is None else (reason.code, reason.text)
 

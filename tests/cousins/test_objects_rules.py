@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from simfoundry.assets import mass
 from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.mesh import open_edges, weld
-from simfoundry.cousins.objects.appearance import color_of, recolor, restuff
+from simfoundry.cousins.objects.appearance import change_material, color_of, recolor
 from simfoundry.cousins.objects.components import Kind, components
 from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, stretched, taper
-from simfoundry.cousins.objects.item import Item, item_of_asset, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, lowered
 from simfoundry.cousins.objects.meshes import COLLIDERS, FORMS, swept
 from simfoundry.cousins.objects.parts import (
     Profile,
@@ -53,7 +53,7 @@ NAMES = sorted(p.name.partition(".")[0] for p in ASSETS.glob("*.asset.yaml"))
 CHANGES: tuple[Change, ...] = ("geometry", "topology", "appearance")
 
 
-def item(name: str) -> Item:
+def item(name: str) -> ObjectAsset:
     return item_of_asset(load(ASSETS / f"{name}.asset.yaml"))
 
 
@@ -363,7 +363,7 @@ def test_a_color_goes_to_all_that_had_it() -> None:
 
 def test_another_material_weighs_by_its_own_density() -> None:
     spec = item("bowl").spec
-    made = restuff(spec, components(spec)[0], np.random.default_rng(1))
+    made = change_material(spec, components(spec)[0], np.random.default_rng(1))
     assert made is not None
     (name,) = made[0].materials
     assert name != "ceramic"

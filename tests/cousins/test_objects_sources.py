@@ -17,17 +17,17 @@ from simfoundry.assets.mesh import open_edges, read_parts, weld
 from simfoundry.cousins.objects.appearance import same_kind
 from simfoundry.cousins.objects.generation import (
     ComponentNames,
-    Feasible,
     Generation,
+    PictureVerdict,
+    TopologyAnswer,
     Variations,
-    Verdict,
     fitted,
     picture_of,
     prompt,
 )
-from simfoundry.cousins.objects.item import Item, item_of_mesh, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, item_of_mesh, lowered
 from simfoundry.cousins.objects.meshes import deformed
-from simfoundry.cousins.objects.retrieval import Library, Retrieval, likeness
+from simfoundry.cousins.objects.retrieval import Retrieval, VariantLibrary, likeness
 from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.shapes import Capsule
@@ -43,14 +43,14 @@ T = TypeVar("T", bound=BaseModel)
 
 
 @pytest.fixture(scope="module")
-def bean(tmp_path_factory: pytest.TempPathFactory) -> Item:
+def bean(tmp_path_factory: pytest.TempPathFactory) -> ObjectAsset:
     """A mesh of a capsule."""
     path = tmp_path_factory.mktemp("bean") / "bean.obj"
     path.write_bytes(obj_bytes(tessellate(Capsule(0.03, 0.06), 24)))
     return item_of_mesh(path, "bean", "toy", Material(density=500, friction=0.5, color=(0.8, 0.2, 0.2)))
 
 
-def test_a_deformed_mesh_stays_closed_and_weighs_by_its_volume(bean: Item, tmp_path: Path) -> None:
+def test_a_deformed_mesh_stays_closed_and_weighs_by_its_volume(bean: ObjectAsset, tmp_path: Path) -> None:
     for seed in range(5):
         spec, files, words = deformed(bean.spec, bean.files, np.random.default_rng(seed))
         assert words.startswith("deformed: x ")
@@ -66,7 +66,7 @@ def test_a_deformed_mesh_stays_closed_and_weighs_by_its_volume(bean: Item, tmp_p
         assert thing.root.mass > 0
 
 
-def test_variants_of_a_mesh_are_written_with_their_meshes(bean: Item) -> None:
+def test_variants_of_a_mesh_are_written_with_their_meshes(bean: ObjectAsset) -> None:
     found = variants(bean, ObjectVariants(count=2))
     assert len(found.accepted) == 2
     for variant in found.accepted:
@@ -80,7 +80,7 @@ def test_variants_of_a_mesh_are_written_with_their_meshes(bean: Item) -> None:
 
 
 @pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+def library(tmp_path_factory: pytest.TempPathFactory) -> VariantLibrary:
     folder = tmp_path_factory.mktemp("library")
     for name in ("cup", "blue_cup", "orange_cup", "bowl", "cube"):
         (folder / f"{name}.asset.yaml").write_bytes((ASSETS / f"{name}.asset.yaml").read_bytes())
@@ -89,15 +89,15 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
     (folder / "cups" / "tall.obj").write_bytes(obj_bytes(mesh))
     lines = obj_bytes(mesh).splitlines(keepends=True)
     (folder / "cups" / "open.obj").write_bytes(b"".join(lines[:-3]))
-    return Library(folder)
+    return VariantLibrary(folder)
 
 
-def test_a_library_says_what_it_leaves_out(library: Library) -> None:
+def test_a_library_says_what_it_leaves_out(library: VariantLibrary) -> None:
     assert {e.item.name for e in library.entries} >= {"cup", "blue_cup", "orange_cup", "bowl", "cube", "tall"}
     assert list(library.left_out) == ["cups/open.obj"] and "not closed" in library.left_out["cups/open.obj"]
 
 
-def test_a_library_ranks_by_kind_size_and_shape(library: Library) -> None:
+def test_a_library_ranks_by_kind_size_and_shape(library: VariantLibrary) -> None:
     cup = item("cup")
     ranked = library.ranked(cup, likeness(lowered(cup.spec, ASSETS, "cup")))
     names = [entry.item.name for _, _, entry in ranked]
@@ -107,7 +107,7 @@ def test_a_library_ranks_by_kind_size_and_shape(library: Library) -> None:
     assert factors["blue_cup"] == pytest.approx(1) and 0.5 <= factors["bowl"] <= 2
 
 
-def test_retrieval_takes_what_is_of_the_kind_and_scales_it(library: Library) -> None:
+def test_retrieval_takes_what_is_of_the_kind_and_scales_it(library: VariantLibrary) -> None:
     axis = ObjectVariants(sources=("library",), count=3)
     found = variants(item("cup"), axis, sources={"library": Retrieval(library)})
     assert {v.spec.category for v in found.accepted} == {"cup"} and len(found.accepted) == 2
@@ -120,8 +120,8 @@ def test_retrieval_takes_what_is_of_the_kind_and_scales_it(library: Library) -> 
 
 SAID = {
     "A": ComponentNames(components=["body", "rim"]),
-    "B body": Feasible(yes=True),
-    "B rim": Feasible(yes=False),
+    "B body": TopologyAnswer(yes=True),
+    "B rim": TopologyAnswer(yes=False),
     "C body": Variations(geometry=["a wider body"], topology=["a loop handle"], visual=["a matte green glaze"]),
     "C rim": Variations(geometry=["a rim that flares outward"], topology=["a spout"], visual=["a golden edge"]),
 }
@@ -144,15 +144,15 @@ class Told:
         assert all(p.startswith(b"\x89PNG") for p in pictures)
         self.asked.append(prompt)
         given: Any
-        if answer is Verdict:
+        if answer is PictureVerdict:
             good = sum("RealWorldReasonable" in text for text in self.asked) % 2 == 0
-            given = Verdict(
+            given = PictureVerdict(
                 real_world_reasonable=good, real_world_reason="melted", scene_reasonable=True, scene_reason="fits"
             )
         elif answer is ComponentNames:
             given = SAID["A"]
         else:
-            letter = "B" if answer is Feasible else "C"
+            letter = "B" if answer is TopologyAnswer else "C"
             given = SAID[f"{letter} {'rim' if 'rim' in prompt.split('list')[0] else 'body'}"]
         assert isinstance(given, answer)
         return given
@@ -206,8 +206,8 @@ def test_models_propose_edit_build_and_judge_as_the_paper_has_it() -> None:
 def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
     class Never(Told):
         def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
-            if answer is Verdict:
-                bad: Any = Verdict(
+            if answer is PictureVerdict:
+                bad: Any = PictureVerdict(
                     real_world_reasonable=True, real_world_reason="", scene_reasonable=False, scene_reason="too shiny"
                 )
                 assert isinstance(bad, answer)

@@ -17,7 +17,7 @@ from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import claim_project, read_recipe
 from simfoundry.cousins.recipe.overlay import dependents, relative
-from simfoundry.cousins.run.candidates import CandidateSampler, Setup
+from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -72,11 +72,11 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def setup(project: Path, name: str, seed: int = 11) -> Setup:
-    return Setup(str(project / f"{name}.cousins.yaml"), str(project / "out"), seed)
+def setup(project: Path, name: str, seed: int = 11) -> SamplerSetup:
+    return SamplerSetup(str(project / f"{name}.cousins.yaml"), str(project / "out"), seed)
 
 
-def first_accepted(asked: Setup) -> Candidate:
+def first_accepted(asked: SamplerSetup) -> Candidate:
     return next(c for c in map(CandidateSampler.load(asked), range(1, 30)) if c.accepted)
 
 
@@ -131,8 +131,8 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     first = [one(k).line() for k in (1, 2, 3, 4)]
     assert [other(k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, Setup;"
-        "print(CandidateSampler.load(Setup(sys.argv[1], sys.argv[2], 11))(3).line())"
+        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup;"
+        "print(CandidateSampler.load(SamplerSetup(sys.argv[1], sys.argv[2], 11))(3).line())"
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]
     done = subprocess.run(

@@ -17,7 +17,7 @@ import pytest
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Log, log_file, read_places
 from simfoundry.cousins.run.report import read_manifest, write_manifest
-from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, End, Ledger, Plan, finish, run
+from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, Ledger, RunEnd, RunPlan, finish, run
 from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
@@ -42,11 +42,11 @@ class Shuffled(Here):
         return self.work.sampler()(self._asked.pop(self._chance.randrange(len(self._asked))))
 
 
-def plan(out: Path, wanted: int = 30, **more: object) -> Plan:
-    return replace(Plan(out, wanted, {"recipe": "toy", "seed": 0}), **more)  # type: ignore[arg-type]
+def plan(out: Path, wanted: int = 30, **more: object) -> RunPlan:
+    return replace(RunPlan(out, wanted, {"recipe": "toy", "seed": 0}), **more)  # type: ignore[arg-type]
 
 
-def made(a: Plan, pool: CandidatePool | None = None) -> dict[str, bytes]:
+def made(a: RunPlan, pool: CandidatePool | None = None) -> dict[str, bytes]:
     """A whole run, and every file of it, its log included."""
     ledger = run(a, lambda: pool or Here(work()))
     write_manifest(a, ledger)
@@ -142,15 +142,15 @@ def test_a_folder_of_another_run_or_of_other_things_is_left_alone(tmp_path: Path
 
 def test_a_hopeless_recipe_stops_with_numbers(tmp_path: Path) -> None:
     ledger = run(plan(tmp_path / "a"), lambda: Shuffled(work(0.0)))
-    assert (ledger.end, ledger.examined, ledger.accepted) == (End.HOPELESS, PATIENCE, [])
+    assert (ledger.end, ledger.examined, ledger.accepted) == (RunEnd.HOPELESS, PATIENCE, [])
     assert sum(ledger.totals.values()) == PATIENCE
     rare = run(plan(tmp_path / "b", wanted=1000), lambda: Here(work(1.04 * LEAST_RATE)))
-    assert rare.end is End.HOPELESS and rare.accepted and rare.rate < LEAST_RATE
+    assert rare.end is RunEnd.HOPELESS and rare.accepted and rare.rate < LEAST_RATE
 
 
 def test_a_recipe_with_an_end(tmp_path: Path) -> None:
     ledger = run(plan(tmp_path / "a", most=20), lambda: Here(work()))
-    assert (ledger.end, ledger.examined) == (End.EXHAUSTED, 20)
+    assert (ledger.end, ledger.examined) == (RunEnd.EXHAUSTED, 20)
     assert ledger.accepted == [k for k in range(1, 21) if toy.candidate(RATE, k).accepted]
 
 

@@ -16,12 +16,11 @@ from simfoundry.robots.arm import Arm
 from simfoundry.robots.fingers import jaws
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
-from simfoundry.spec.models.robot_file import find_robot
+from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.worlds import open_world
 from tests.robots.reach import grasp_and_lift
 
-KNOWN = find_robot("demo_arm")
-assert KNOWN is not None
+KNOWN = RobotSpec(model="demo_arm").known() or pytest.fail("demo_arm is not known")
 DOWN = [0.0, 1.0, 0.0, 0.0]
 """The gripper points down [quaternion, wxyz]."""
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from simfoundry.scene.inertia import felt_inertias
+from simfoundry.scene.inertia import effective_inertias
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -23,7 +23,7 @@ def test_it_agrees_with_mujoco(item: SceneObject) -> None:
         inverse = np.zeros((world.model.nv, world.model.nv))
         mujoco.mj_solveM(world.model, world.data, inverse, np.eye(world.model.nv))
         felt = 1 / np.diag(inverse)
-        found = {name: value for tree in trees(item) for name, value in felt_inertias(tree).items()}
+        found = {name: value for tree in trees(item) for name, value in effective_inertias(tree).items()}
         assert set(found) == {joint.name for joint in item.joints if joint.has_axis}
         for name, value in found.items():
             dof = int(world.model.joint(f"{item.name}.{name}").dofadr[0])

@@ -15,7 +15,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene
 from simfoundry.scene.poses import with_state
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.touching import silent_pairs, touching_pairs
+from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
 from simfoundry.scene.trees import free_motions, trees
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import SceneSpec
@@ -113,13 +113,13 @@ def test_a_settled_state_is_written_in_the_words_of_the_document(scene: Scene, t
 
 def test_links_touch_unless_a_joint_connects_them() -> None:
     """The handle is welded to the door: the carcass, which carries the door, does not touch it either."""
-    assert set(silent_pairs(cabinet())) == {
+    assert set(excluded_link_pairs(cabinet())) == {
         ("carcass", "drawer"), ("carcass", "door"), ("carcass", "handle"), ("door", "handle")
     }  # fmt: skip
-    assert touching_pairs(cabinet()) == (("drawer", "door"), ("drawer", "handle"))
-    assert touching_pairs(chain(4)) == (("box_0", "box_2"), ("box_0", "box_3"), ("box_1", "box_3"))
-    assert touching_pairs(chain(4, no_contact=(("box_3", "box_0"),))) == (("box_0", "box_2"), ("box_1", "box_3"))
-    assert ("body", "lid") in touching_pairs(pot())
+    assert contact_pairs(cabinet()) == (("drawer", "door"), ("drawer", "handle"))
+    assert contact_pairs(chain(4)) == (("box_0", "box_2"), ("box_0", "box_3"), ("box_1", "box_3"))
+    assert contact_pairs(chain(4, no_contact=(("box_3", "box_0"),))) == (("box_0", "box_2"), ("box_1", "box_3"))
+    assert ("body", "lid") in contact_pairs(pot())
 
 
 def test_a_free_joint_parts_an_object() -> None:

@@ -189,7 +189,7 @@ def test_a_conflict_is_an_error_until_it_is_decided(tmp_path: Path) -> None:
     path.write_text(FOAM + "conflicts:\n  objects.block.density: {base: 2, ours: 3, theirs: 4}\n")
     (error,) = load(path).errors
     assert (error.code, error.line, error.severity) == ("SF209", 7, Severity.ERROR)
-    assert error.message == "`objects.block.density` is left to decide: ours `3`, theirs `4`"
+    assert error.message == "`objects.block.density` is an open conflict: ours `3`, theirs `4`"
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_a_page_is_whole(page: Page) -> None:
     leads = re.findall(r"^\*\*([^*]+)\*\*", page.body, re.MULTILINE)
     examples = [] if page.code in NOT_SHOWN else ["Wrong.", "Right."]
     silence = ["How to silence it."] if page.code.startswith("SF4") and "cannot be silenced" not in page.body else []
-    assert [lead for lead in leads if lead != "Beside it."] == ["How to mend it.", *examples, *silence]
+    assert [lead for lead in leads if lead != "Beside it."] == ["How to fix it.", *examples, *silence]
     assert max(map(len, page.markdown.splitlines())) <= 150
 
 

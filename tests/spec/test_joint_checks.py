@@ -35,7 +35,7 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
             "SF205",
             "`right_hinge` at -60 deg is outside its limits, -40 to 40 deg",
         ),
-        ("shoulder: {rpy_deg: [20, -10, 30]}", "shoulder: 0.3", "SF103", "`shoulder` is ball: one number does not say"),
+        ("shoulder: {rpy_deg: [20, -10, 30]}", "shoulder: 0.3", "SF103", "`shoulder` is ball: its position cannot be"),
         (
             "shoulder: {rpy_deg: [20, -10, 30]}",
             "shoulder: {xyz: [0, 0, 1]}",
@@ -46,7 +46,7 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
             "rests: {xyz: [0.1, 0, 0.05], yaw_deg: 40}",
             "rests: {deg: 40}",
             "SF103",
-            "`rests` is free: one number does not",
+            "`rests` is free: its position",
         ),
         ("rests: {xyz: [0.1, 0, 0.05], yaw_deg: 40}", "rests: {xyz: [0.1, 0]}", "SF105", "values are missing"),
         (
@@ -65,7 +65,7 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
         ),
         ("[cup, lamp.shade]", "[cup]", "SF105", "values are missing: the list has 1"),
         ("[[shade, foot]]", "[[shade, foot], [foot, shade]]", "SF212", "the pair `foot` and `shade` is there already"),
-        ("mimic: {joint: neck,", "mimic: {joint: shoulder,", "SF211", "`shoulder` is ball: there is no one position"),
+        ("mimic: {joint: neck,", "mimic: {joint: shoulder,", "SF211", "`shoulder` is ball: it has no single position"),
         ("mimic: {joint: neck,", "mimic: {joint: left_hinge,", "SF211", "`left_hinge` follows itself through others"),
     ],
 )

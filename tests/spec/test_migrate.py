@@ -80,7 +80,7 @@ def test_what_is_up_to_date_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("simfoundry: scene/9\n", "`scene/9` is no version"),
+        ("simfoundry: scene/9\n", "`scene/9` is not a version"),
         ("name: a\n", "the key `simfoundry` is missing"),
         ("simfoundry: [\n", "a value should stand here"),
     ],

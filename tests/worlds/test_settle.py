@@ -20,11 +20,11 @@ from simfoundry.worlds import World, open_world, world_names
 from simfoundry.worlds.base import Contact
 from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
-from simfoundry.worlds.settle import ObjectSettle, Settled, settle
+from simfoundry.worlds.settle import ObjectSettle, SettleResult, settle
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 
-Settle = Callable[..., Settled]
+Settle = Callable[..., SettleResult]
 
 HEAD = """\
 simfoundry: scene/1
@@ -45,14 +45,14 @@ def settled(request: pytest.FixtureRequest, tmp_path: Path) -> Settle:
     if request.param == "pybullet":
         pytest.importorskip("pybullet", reason="PyBullet is not installed")
 
-    def run_engine(objects: str, relations: str = "") -> Settled:
+    def run_engine(objects: str, relations: str = "") -> SettleResult:
         with open_world(lower_file(write(tmp_path, objects, relations)), request.param) as world:
             return settle(world)
 
     return run_engine
 
 
-def of(result: Settled, name: str) -> ObjectSettle:
+def of(result: SettleResult, name: str) -> ObjectSettle:
     return next(o for o in result.objects if o.name == name)
 
 

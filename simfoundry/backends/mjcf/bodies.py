@@ -57,7 +57,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: Material
 
 
 def add_background(world: ET.Element, background: Background, assets: Assets) -> None:
-    """Add what is seen around the scene; its geoms touch nothing."""
+    """Add the background; its geoms collide with nothing."""
     for visual in background.visuals:
         posed = replace(visual, X_LG=background.X_WB @ visual.X_LG)
         _add_visual(world, f":background:{visual.name}", posed, assets)

@@ -56,7 +56,7 @@ _MASK_BITS = 31
 """Bits of a mask, without the sign."""
 
 
-class Surface(NamedTuple):
+class ContactSurface(NamedTuple):
     """Friction, restitution, and resistance against spinning and rolling [m]: of a collider, or of a contact."""
 
     friction: float
@@ -71,7 +71,7 @@ class ContactGeom(NamedTuple):
     name: str
     body: str
     static: bool
-    surface: Surface
+    surface: ContactSurface
     material: str
 
 
@@ -80,19 +80,19 @@ class UnlikeGroup(NamedTuple):
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
-    contact: Surface
+    contact: ContactSurface
 
 
-Groups = Mapping[Surface, Sequence[ContactGeom]]
+Groups = Mapping[ContactSurface, Sequence[ContactGeom]]
 Excluded = frozenset[frozenset[str]]
 """Pairs of bodies that do not collide."""
 
 
-def desired_contact(a: Surface, b: Surface) -> Surface:
+def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
     """Return the contact that two surfaces should make."""
     if a == b:
         return a
-    return Surface(
+    return ContactSurface(
         math.sqrt(a.friction * b.friction),
         math.sqrt(a.restitution * b.restitution),
         max(a.spinning, b.spinning),
@@ -100,7 +100,7 @@ def desired_contact(a: Surface, b: Surface) -> Surface:
     )
 
 
-def is_native(a: Surface, b: Surface) -> bool:
+def is_native(a: ContactSurface, b: ContactSurface) -> bool:
     """Return true if MuJoCo makes the desired contact by its own rule, with geoms that hold their own numbers."""
     contact = desired_contact(a, b)
     if format_number(max(a.friction, b.friction)) != format_number(contact.friction):
@@ -144,7 +144,7 @@ def rebound(ratio: float) -> float:
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
 
-def contact_dimensions(surface: Surface) -> int:
+def contact_dimensions(surface: ContactSurface) -> int:
     """Return MuJoCo's ``condim`` of a contact that resists sliding, and spinning or rolling as well."""
     return 6 if surface.rolling else 4 if surface.spinning else 3
 
@@ -158,9 +158,9 @@ def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
     return [UnlikeGroup(one, other, desired_contact(one[0].surface, other[0].surface)) for one, other in found]
 
 
-def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[Surface, list[ContactGeom]]:
+def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurface, list[ContactGeom]]:
     """Return the geoms that never move, or those that can, by surface."""
-    groups: dict[Surface, list[ContactGeom]] = {}
+    groups: dict[ContactSurface, list[ContactGeom]] = {}
     for geom in geoms:
         if geom.static == static:
             groups.setdefault(geom.surface, []).append(geom)
@@ -226,14 +226,14 @@ def _unused_name(wish: str, taken: set[str]) -> str:
     return name
 
 
-def pair_numbers(surface: Surface) -> tuple[int, list[float], tuple[float, float] | None]:
+def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
     """Return ``condim``, ``friction`` and ``solref`` of a pair, which takes nothing from its geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
 
 
-def _attributes(surface: Surface) -> str:
+def _attributes(surface: ContactSurface) -> str:
     dimensions, friction, damping = pair_numbers(surface)
     text = f'friction="{" ".join(map(format_number, friction))}"'
     text += f' condim="{dimensions}"' if dimensions != 3 else ""
@@ -284,11 +284,13 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
     return ours, by_name, foreign
 
 
-def _surface(geom: mujoco.MjsGeom) -> Surface:
+def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
     """Return the surface of a geom; what it resists beyond sliding counts in contacts of as many dimensions only."""
     sliding, spinning, rolling = (float(v) for v in geom.friction)
     restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
-    return Surface(sliding, restitution, spinning if geom.condim > 3 else 0.0, rolling if geom.condim > 4 else 0.0)
+    return ContactSurface(
+        sliding, restitution, spinning if geom.condim > 3 else 0.0, rolling if geom.condim > 4 else 0.0
+    )
 
 
 def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
@@ -329,7 +331,7 @@ def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
     return [bit for bit in (1 << k for k in range(_MASK_BITS)) if not used & bit]
 
 
-def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[Surface, int]) -> bool:
+def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[ContactSurface, int]) -> bool:
     """Return true if a group is large, and both its surfaces have the bits that masks need."""
     static = group.one[0].static
     surfaces = [geoms[0].surface for geoms in (group.one, group.other) if not geoms[0].static]
@@ -340,7 +342,7 @@ def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[Surface, int]) -> bool:
 def _set_masks(
     geoms: Iterable[ContactGeom],
     by_name: Mapping[str, mujoco.MjsGeom],
-    bit_of: Mapping[Surface, int],
+    bit_of: Mapping[ContactSurface, int],
     proxied: Iterable[UnlikeGroup],
 ) -> None:
     """Let the geoms meet those of robots, and of the scene all but the surfaces for which there are proxies.
@@ -349,7 +351,7 @@ def _set_masks(
     One without a bit has the type of all: it meets everything, and pairs overrule that where it is wrong.
     """
     apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
-    types: dict[tuple[Surface, bool], int] = {}
+    types: dict[tuple[ContactSurface, bool], int] = {}
     for geom in geoms:
         key = (geom.surface, geom.static)
         if key not in types:
@@ -360,14 +362,14 @@ def _set_masks(
 
 
 def _add_proxies(
-    by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[Surface, int], proxied: Iterable[UnlikeGroup]
+    by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[ContactSurface, int], proxied: Iterable[UnlikeGroup]
 ) -> dict[str, list[str]]:
     """Give the geoms of the smaller side of each group proxies, one for all surfaces that make the same contact.
 
     They are in bodies of their own, because MuJoCo passes over whole bodies by their masks. Returns these by the name
     of the body that they are fixed to.
     """
-    masks: dict[tuple[str, Surface], int] = {}
+    masks: dict[tuple[str, ContactSurface], int] = {}
     for group in proxied:
         owners, met = (group.one, group.other)
         if not owners[0].static and len(met) < len(owners):
@@ -386,7 +388,7 @@ def _add_proxies(
     return bodies
 
 
-def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: Surface, mask: int) -> None:
+def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
     """Add a geom of the same shape that decides over whatever it meets."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     holder.add_geom(
@@ -415,7 +417,7 @@ _SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "so
 """The fields that make a geom meet others where it is."""
 
 
-def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: Surface) -> None:
+def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: ContactSurface) -> None:
     dimensions, friction, damping = pair_numbers(contact)
     pair = spec.add_pair(geomname1=one.name, geomname2=other.name, condim=dimensions, friction=friction)
     if damping is not None:

@@ -9,8 +9,8 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.losses import Loss, approximate
 from simfoundry.backends.mjcf.contact_rules import (
     ContactGeom,
+    ContactSurface,
     Excluded,
-    Surface,
     UnlikeGroup,
     contact_dimensions,
     solref,
@@ -18,7 +18,7 @@ from simfoundry.backends.mjcf.contact_rules import (
     written_groups,
 )
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 
 COLLISION, VISUAL = "collision", "visual"
 """The classes of geoms that collide, of which each material is a child, and of those that do not."""
@@ -33,7 +33,7 @@ class MaterialClasses:
     """The class of each material; a geom whose surface is not its material's adds its own numbers."""
 
     def __init__(self, scene: Scene) -> None:
-        self._surfaces: dict[str, Surface] = {}
+        self._surfaces: dict[str, ContactSurface] = {}
         for item in scene.objects:
             for link in item.links:
                 for collider in link.colliders:
@@ -58,12 +58,14 @@ def _class_name(material: str) -> str:
     return f"{material}_material" if material in _RESERVED else material or COLLISION
 
 
-def surface_of(collider: Collider) -> Surface:
+def surface_of(collider: Collider) -> ContactSurface:
     """Return the surface of a collider."""
-    return Surface(collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction)
+    return ContactSurface(
+        collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction
+    )
 
 
-def surface_attributes(surface: Surface, inherited: Surface | None = None) -> dict[str, str]:
+def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
     """Return the attributes of a geom with a surface, in a class with an ``inherited`` one.
 
     Its restitution is its ``user`` number, which MuJoCo keeps and does not use; ``solref`` is what comes nearest to it.
@@ -105,7 +107,7 @@ def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
 
 def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
     """Return the pairs of bodies that do not collide; joints, not contacts, hold a drawer in its cabinet."""
-    own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in silent_pairs(item)]
+    own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in excluded_link_pairs(item)]
     return [*own, *scene.no_contact]
 
 

@@ -1,10 +1,10 @@
-"""What MJCF has no place for, as custom texts and numbers: ``simfoundry import`` gives it back.
+"""Custom texts and numbers for what MJCF has no element for: ``simfoundry import`` reads them back.
 
 A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
 the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
 ``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cabinet.door:closed`` the limit, `lower` or
 `upper`, at which a joint is closed; ``sky:dome`` the color of a dome light times its intensity; ``arm:robot`` the
-fields of a robot in JSON, and ``wrist:mount`` which of its frames a camera rides on, where that is a site ``arm.hand``.
+fields of a robot in JSON, and ``wrist:mount`` the frame that a camera is mounted on, where that is a site ``arm.hand``.
 ``simfoundry:robots`` names the bodies of all robots, whose contacts are their own.
 """
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.model import Scene
 
-FEATURES: dict[str, Cell] = {
-    "robots": Cell(reason="A robot's own MJCF, else its URDF as MuJoCo reads it, with hulls as colliders."),
-    "robot_motors": Cell(reason="A model without actuators gets a stiff servo in each joint."),
+FEATURES: dict[str, SupportCell] = {
+    "robots": SupportCell(reason="A robot's own MJCF, else its URDF as MuJoCo reads it, with hulls as colliders."),
+    "robot_motors": SupportCell(reason="A model without actuators gets a stiff servo in each joint."),
     "robot_contacts": approximated("As in the robot's file; against the scene's, MuJoCo takes the larger friction."),
     **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
     "dome_lights": approximated("Its color lights everything alike, without shading."),
@@ -23,7 +23,7 @@ FEATURES: dict[str, Cell] = {
     **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
     **exact("ball", "free", "mimic"),
-    "drive": Cell(reason="Exact up to the stiffness that its steps can carry."),
+    "drive": SupportCell(reason="Exact up to the stiffness that its steps can carry."),
 }
 """The fidelity of each feature in MJCF."""
 

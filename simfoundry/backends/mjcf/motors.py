@@ -1,4 +1,4 @@
-"""What moves joints in MuJoCo: joints that follow others, as equalities, and drives, as actuators."""
+"""Joints that follow others, as equalities, and drives, as actuators."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.scene.model import Drive, Joint, Scene
 
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
-"""How firmly a joint follows: the time constant is two steps, which is the least that is stable."""
+"""The stiffness of a mimic joint: the time constant is two steps, which is the least that is stable."""
 
 
 def add_mimics(root: ET.Element, scene: Scene) -> None:

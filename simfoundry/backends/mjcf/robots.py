@@ -121,7 +121,7 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
 
 
 def _has_class(source: ET.Element, joint: ET.Element) -> bool:
-    """Whether a body above the joint gives it a class."""
+    """Return true if a body above the joint gives it a class."""
     return any(joint in body.iter("joint") for body in source.findall("worldbody//body[@childclass]"))
 
 
@@ -130,7 +130,7 @@ def _body(base: ET.Element, name: str) -> ET.Element:
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
-    """Add each camera that rides on a link to that link's body, where it is in the scene."""
+    """Add each mounted camera to the body of its link, where that is in the scene."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
         robot = robots.get(mounted.carrier)

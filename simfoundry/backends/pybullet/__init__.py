@@ -30,7 +30,7 @@ from simfoundry.backends.urdf.manifests import (
 )
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
-from simfoundry.scene.touching import touching_pairs
+from simfoundry.scene.touching import contact_pairs
 from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
@@ -95,7 +95,7 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
     """Return the motions and contacts of the links of one body."""
     item = tree.owner
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
-    touching = any(names.issuperset(pair) for pair in touching_pairs(item))
+    touching = any(names.issuperset(pair) for pair in contact_pairs(item))
     drives = stable_drives(item, timestep, False)
     return {
         "balls": {j.name: rounded_list(j.motion.q) for j in moving if j.type is JointType.BALL},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
 from simfoundry.backends.pybullet.inset import SKIN
 from simfoundry.backends.pybullet.pictures import main_light
@@ -23,7 +23,7 @@ _LIGHTS = {
 }
 _MIXED = "It is mixed with the sliding friction, one number per link."
 
-FEATURES: dict[str, Cell] = {
+FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
     "robot_motors": approximated("Converted ones lag as in MuJoCo and do not sag; a URDF's hold with all their force."),
     "robot_contacts": approximated("A converted robot grips as in MuJoCo where the scene's frictions are equal."),
@@ -46,7 +46,7 @@ FEATURES: dict[str, Cell] = {
     **exact("joint_damping", "joint_friction"),
     "armature": dropped("URDF has no rotor inertia."),
     **exact("ball", "free", "mimic"),
-    "drive": Cell(reason="Exact up to the stiffness that its steps can carry."),
+    "drive": SupportCell(reason="Exact up to the stiffness that its steps can carry."),
 }
 """The fidelity of each feature in PyBullet."""
 

@@ -204,7 +204,7 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
 def _controls(
     native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray, home: np.ndarray
 ) -> np.ndarray:
-    """What holds the robot where it starts: a servo's target is its joint's position, the gripper's is open."""
+    """Return the controls that hold the initial state: a servo's target is its joint's position, a gripper is open."""
     import mujoco
 
     command = native.gripper.command if native.gripper is not None else {}

@@ -118,11 +118,11 @@ def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
         geometry = _geometry(model, g)
         if geometry is None:
             continue
-        felt = bool(model.geom_contype[g] or model.geom_conaffinity[g])
-        convex = hull_mesh(geometry.vertices) if felt and isinstance(geometry, Mesh) else geometry
-        if felt and convex is not None:
+        collides = bool(model.geom_contype[g] or model.geom_conaffinity[g])
+        convex = hull_mesh(geometry.vertices) if collides and isinstance(geometry, Mesh) else geometry
+        if collides and convex is not None:
             colliders.append(Collider(f"collider{g}", convex, float(model.geom_friction[g][0]), 0.0, X_LG))
-        if not felt or model.geom_group[g] < 3:  # groups 0 to 2 are what a viewer shows
+        if not collides or model.geom_group[g] < 3:  # groups 0 to 2 are what a viewer shows
             visuals.append(Visual(f"visual{g}", geometry, frozen_array(_rgba(model, g)), X_LG))
     com = frozen_array(model.body_ipos[b] - shift)
     return Link(name, mass, com, frozen_array(axes @ np.diag(moments) @ axes.T), tuple(visuals), tuple(colliders))
@@ -209,7 +209,7 @@ def _leaders(read: MujocoRobot) -> Iterator[str]:
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """What each joint follows, as the description says or else the model's equations; and how many loops are cut."""
+    """Return the joint that each one follows, by the description or else the model's equations, and the loops cut."""
     import mujoco
 
     model, gripper = read.model, read.native.gripper

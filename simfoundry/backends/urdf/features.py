@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.scene.model import JointType, Scene, SceneObject
-from simfoundry.scene.touching import touching_pairs
+from simfoundry.scene.touching import contact_pairs
 
 UNBOUNDED_M = 1000.0
 """Where a sliding joint without limits ends [m]: far beyond any table, and exact in single precision."""
@@ -27,7 +27,7 @@ _NO_BALLS = "URDF has no ball joints; the link is welded in its initial pose."
 _NO_EXCLUSIONS = "URDF cannot exclude contacts; the simulator decides whether links of one object collide."
 _NO_ARMATURE = "URDF has no rotor inertia; the joint accelerates as if it were zero."
 
-FEATURES: dict[str, Cell] = {
+FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
     "robot_motors": dropped(_NO_MOTORS),
     "robot_contacts": dropped(_NO_SURFACES),
@@ -70,7 +70,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
                 yield drop("ball", element, _NO_BALLS)
             if joint.drive is not None:
                 yield drop("drive", element, _NO_DRIVES)
-        if touching_pairs(item) or item.no_contact:
+        if contact_pairs(item) or item.no_contact:
             yield drop("no_contact", item.name, _NO_EXCLUSIONS)
     if scene.no_contact:
         yield drop("no_contact", "no_contact", _NO_EXCLUSIONS)

@@ -10,7 +10,7 @@ from simfoundry.backends.urdf.elements import Split
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 from simfoundry.scene.robot import Follow
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 from simfoundry.scene.trees import Tree, trees
 
 _SERVO_ERROR = 0.005
@@ -52,7 +52,7 @@ def excluded_between(scene: Scene) -> list[list[list[str]]]:
 def excluded_within(tree: Tree) -> list[list[str]]:
     """Return the pairs of links of one body that do not collide."""
     names = {link.name for link in tree.links}
-    return [list(pair) for pair in silent_pairs(tree.owner) if names.issuperset(pair)]
+    return [list(pair) for pair in excluded_link_pairs(tree.owner) if names.issuperset(pair)]
 
 
 def _physics(tree: Tree, split: Split) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""What is seen around the scene: meshes without colliders, or a field of Gaussians in a layer of its own."""
+"""The background: meshes without colliders, or a field of Gaussians in a layer of its own."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from simfoundry.backends.usd.prims import (
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, Link, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs, touching_pairs
+from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
 from simfoundry.scene.trees import Tree, trees
 
 DEFAULT = "default"
@@ -32,7 +32,7 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Scopes:
-    """Where things go in the stage: objects, and the materials they share."""
+    """The scopes of a stage for objects and the materials they share."""
 
     objects: Prim
     looks: Prim
@@ -40,7 +40,7 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Whether nothing of a part of an object can move: it then has colliders and no rigid bodies."""
+    """Return true if nothing of a part of an object can move: it then has colliders and no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
@@ -62,7 +62,7 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
 
 
 def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
-    """What an object, or one variant of it, consists of."""
+    """Define the links and joints of an object, or of one variant of it."""
     apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
     attribute(prim, "semantics:labels:category", "token[]", [item.category])
     attribute(prim, "semantics:labels:class", "token[]", list(item.semantics))
@@ -107,7 +107,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
         anchor = define_anchor(scope, prim, root)
         root = prim if alone else anchor
     names = {link.name for link in tree.links}
-    touching = any(names.issuperset(pair) for pair in touching_pairs(tree.owner))
+    touching = any(names.issuperset(pair) for pair in contact_pairs(tree.owner))
     apply_schemas(root, ["PhysicsArticulationRootAPI", "PhysxArticulationAPI", "NewtonArticulationRootAPI"])
     attribute(root, "newton:selfCollisionEnabled", "bool", touching)
     attribute(root, "physxArticulation:enabledSelfCollisions", "bool", touching)
@@ -118,12 +118,12 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """State which links do not touch. What cannot move has no body to name: its colliders stand for it."""
+    """Exclude pairs of links from contact. What cannot move has no body to name: its colliders stand for it."""
     bodies: dict[str, list[Prim]] = {}
-    felt: dict[str, list[Prim]] = {}
+    touched_by_link: dict[str, list[Prim]] = {}
     found: dict[Prim, list[Prim]] = {}
 
-    def silence(movers: Mapping[str, list[Prim]], touched: Mapping[str, list[Prim]], a: str, b: str) -> None:
+    def exclude(movers: Mapping[str, list[Prim]], touched: Mapping[str, list[Prim]], a: str, b: str) -> None:
         mover, other = (a, b) if a in movers else (b, a)
         if mover in touched and other in touched:
             for body in movers.get(mover, ()):
@@ -131,18 +131,18 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
     for each in scene.objects:
         for item in (each, *each.variants):
-            silent = silent_pairs(item)
-            if not silent and not scene.no_contact:
+            excluded = excluded_link_pairs(item)
+            if not excluded and not scene.no_contact:
                 continue
             movers, touched = _touchable(content_prim(scopes, item), item)
-            for a, b in silent:
-                silence(movers, touched, item.qualified(a), item.qualified(b))
+            for a, b in excluded:
+                exclude(movers, touched, item.qualified(a), item.qualified(b))
             for name, prims in movers.items():
                 bodies.setdefault(name, []).extend(prims)
             for name, prims in touched.items():
-                felt.setdefault(name, []).extend(prims)
+                touched_by_link.setdefault(name, []).extend(prims)
     for a, b in scene.no_contact:
-        silence(bodies, felt, a, b)
+        exclude(bodies, touched_by_link, a, b)
     for body, prims in found.items():
         apply_schemas(body, ["PhysicsFilteredPairsAPI"])
         relate(body, "physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
@@ -157,15 +157,15 @@ def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
 def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
     """By qualified name, the bodies of an object, and what of each link can be touched."""
     bodies: dict[str, list[Prim]] = {}
-    felt: dict[str, list[Prim]] = {}
+    touched_by_link: dict[str, list[Prim]] = {}
     for tree in trees(item):
         for link in tree.links:
             prim, name = parent.children[link.name], item.qualified(link.name)
             if not is_static(tree):
                 bodies[name] = [prim]
             if link.colliders:
-                felt[name] = [*prim.children["Colliders"].children.values()] if is_static(tree) else [prim]
-    return bodies, felt
+                touched_by_link[name] = [*prim.children["Colliders"].children.values()] if is_static(tree) else [prim]
+    return bodies, touched_by_link
 
 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 
-from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.backends.usd.bodies import is_static
@@ -20,27 +20,27 @@ HULL_VERTICES = 64
 _COMBINE = "It is exact under PhysX's combine mode `multiply`, which other readers do not know."
 _RESISTANCE = "PhysX has no attribute for it in USD; Newton reads it."
 
-FEATURES: dict[str, Cell] = {
+FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
-    "robot_motors": Cell(reason="Drives have the gains of the robot's file."),
+    "robot_motors": SupportCell(reason="Drives have the gains of the robot's file."),
     "robot_contacts": approximated("Each shape has one friction, combined as readers do; its file may differ."),
     **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights"),
     "point_lights": approximated("It falls off with the square of the distance, with the stated intensity at 1 m."),
     **exact("dome_lights", "background_mesh", "background_splat"),
     **exact("pose", "fixed", "category", "labels", "variants", "visuals", "texture", "mass", "inertia"),
     **exact("box", "sphere", "cylinder", "capsule"),
-    "convex_mesh": Cell(reason=f"PhysX keeps up to {HULL_VERTICES} vertices."),
+    "convex_mesh": SupportCell(reason=f"PhysX keeps up to {HULL_VERTICES} vertices."),
     "friction": approximated(_COMBINE),
     "restitution": approximated(_COMBINE),
     "torsional_friction": dropped(_RESISTANCE),
     "rolling_friction": dropped(_RESISTANCE),
     **exact("no_contact"),
-    "fixed_joint": Cell(reason="Objects that cannot move are one body without joints."),
+    "fixed_joint": SupportCell(reason="Objects that cannot move are one body without joints."),
     **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
-    "ball": Cell(reason="PhysX's ball joints have no damping and friction."),
+    "ball": SupportCell(reason="PhysX's ball joints have no damping and friction."),
     **exact("free"),
-    "mimic": Cell(reason="A slide follows a slide, a hinge a hinge."),
+    "mimic": SupportCell(reason="A slide follows a slide, a hinge a hinge."),
     **exact("drive"),
 }
 """The fidelity of each feature in USD."""

@@ -79,7 +79,7 @@ def _ball(prim: Prim, joint: Joint) -> None:
 
 
 def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
-    """Let a joint follow another one: Newton's law as the scene has it, PhysX's with all terms on one side.
+    """Let a joint follow another one: Newton's equation as the scene has it, PhysX's with all terms on one side.
 
     PhysX softens it at a natural frequency; zero is for none, a rigid gear.
     """

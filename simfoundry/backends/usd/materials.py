@@ -1,4 +1,4 @@
-"""What surfaces look like (UsdPreviewSurface) and how they touch (UsdPhysics and PhysX materials)."""
+"""Visual materials (UsdPreviewSurface) and contact materials (UsdPhysics, PhysX and Newton)."""
 
 from __future__ import annotations
 

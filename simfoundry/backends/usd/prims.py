@@ -1,4 +1,4 @@
-"""The few strokes with which a stage is drawn: prims, attributes, relationships, transforms.
+"""Prims, attributes, relationships and transforms of a stage.
 
 Prims are plain Python and become text at the end (:mod:`~simfoundry.backends.usd.usda`): authoring through USD's own
 layers takes five times as long. A vector, a quaternion (w first) or a row of a matrix is a tuple, an array a list.
@@ -31,7 +31,7 @@ class Asset(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What a relationship points at: paths as they are called on the stage."""
+    """The targets of a relationship: paths of the stage."""
 
     paths: tuple[str, ...]
 

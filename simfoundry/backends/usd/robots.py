@@ -1,4 +1,4 @@
-"""Robots in a stage: their own USD by reference, or converted from MJCF or URDF; cameras that ride on links."""
+"""Robots in a stage: their own USD by reference, or converted from MJCF or URDF; mounted cameras."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LAYER = re.compile(r"layer @([^@]+)@")
 
 @dataclass
 class RobotsInUsd:
-    """What robots add to a stage: converted ``items``, ``files`` by path, ``losses``; ``frames`` by robot and name."""
+    """Additions of robots: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
@@ -131,7 +131,7 @@ def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
 
 
 def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
-    """Where a joint starts, and what its drive holds, if it has one."""
+    """Set the initial position of a joint, and the target of its drive, if it has one."""
     from pxr import UsdPhysics
 
     kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
@@ -166,7 +166,7 @@ def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
 
 
 def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
-    """Define each camera that rides on a link below that link; yields a loss for each whose carrier is not there."""
+    """Define each mounted camera below its link; yields a loss for each whose carrier is not there."""
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
@@ -180,7 +180,7 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """The prim of the link on which a camera rides, in each variant of its object that has it; its pose in that."""
+    """Yield the prim of the link that carries a camera, in each variant of its object that has it; its pose in that."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]

@@ -71,7 +71,7 @@ def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[
 
 
 def _values(prim: Prim) -> dict[str, Any]:
-    """What the properties of a prim say, without attributes that have no value."""
+    """Return the values of the properties of a prim, without attributes that have none."""
     return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
@@ -80,14 +80,14 @@ _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
 
 
 def _materials(world: Prim) -> dict[str, Any]:
-    """What the materials of the stage say, by their path."""
+    """Return the values of the materials of the stage, by their path."""
     looks, contacts = (world.children[scope].children.values() for scope in ("Looks", "Contacts"))
     shaders = {p.path: {name: _values(shader) for name, shader in p.children.items()} for p in looks}
     return {path: look(found) for path, found in shaders.items()} | {p.path: contact(_values(p)) for p in contacts}
 
 
 def _posture(said: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Of what the prims of a robot say only where it is and how it stands: its model is its own."""
+    """Return the pose and joint positions alone from the values of a robot's prims: its model is its own."""
     states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
     base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
     return base | {path: values for path, values in states.items() if values}

@@ -117,7 +117,7 @@ def quoted(text: str) -> str:
 
 
 def _escapes(quote: str) -> list[str]:
-    """What is written for each character of ASCII between such quotes."""
+    """Return the text of each ASCII character between such quotes."""
     plain = {chr(k): chr(k) for k in range(128)}
     control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
     return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())
@@ -134,4 +134,4 @@ _TEXT: dict[type, Callable[[Any], str]] = {
     int: str,
     Asset: lambda asset: f"@{asset.path}@",
 }
-"""How a value is written, by its type."""
+"""The writer of a value, by its type."""

@@ -32,7 +32,7 @@ DRIFT, TILT_DEG = 0.01, 5.0
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """Whether a layout is accepted, and why not; ``poses`` X_WO at rest of what it moved; ``state`` of everything.
+    """The examination of a layout: accepted or why not; ``poses`` X_WO of what it moved; ``state`` of all.
 
     ``unchecked`` says what could not be looked at. ``seconds`` of each part are not part of the result.
     """
@@ -78,7 +78,7 @@ class _Clock:
         self._last = now
 
 
-def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
+def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
     for name in settled.restless:
         yield Reason("restless", f"`{name}` does not come to rest in {MOST_S:g} s")
     if settled.deepest > PENETRATION:
@@ -94,7 +94,7 @@ def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """What is asked holds, the other relations still do, and the goal is still to be reached."""
+    """Yield a reason unless what is asked holds, the other relations still do, and the goal is not yet met."""
     batch = StateBatch.of(twin.scene, [state])
     for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
@@ -139,7 +139,7 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about, or what was moved but no distractor, is seen by a camera and not hidden."""
+    """Yield a reason for each task object, or object moved but no distractor, that no camera sees well enough."""
     cameras = twin.scene.cameras
     if not cameras:
         unchecked.append("view: the scene has no camera that stands still")
@@ -154,7 +154,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
 
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about is within reach of an arm, by inverse kinematics."""
+    """Yield a reason for each task object that no arm reaches, by inverse kinematics."""
     if twin.robots.reach.missing:
         unchecked.append(f"reach: {twin.robots.reach.missing}")
         return
@@ -198,7 +198,7 @@ them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettledLayout:
     """The ``state`` at rest, rounded; how far each free object got, in ``moved`` [m] and ``tilted`` [deg].
 
     ``restless`` never came to rest; ``deepest`` [m] is the worst overlap at the end, between the two named;
@@ -214,7 +214,7 @@ class Settled:
     seconds: float
 
 
-def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> Settled:
+def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
     """Let a state come to rest. The world's model is reused as it is; what is ``absent`` is not looked at."""
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
@@ -252,7 +252,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
         end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
     moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
     tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
-    return Settled(end, moved, tilted, restless, deepest, between, elapsed)
+    return SettledLayout(end, moved, tilted, restless, deepest, between, elapsed)
 
 
 def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
@@ -264,7 +264,7 @@ def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneSt
 
 
 def _let_sleep(world: MujocoWorld) -> None:
-    """What is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
+    """Return what is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
     import mujoco
 
     sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)
@@ -274,11 +274,11 @@ def _let_sleep(world: MujocoWorld) -> None:
 
 
 def _asleep(world: MujocoWorld) -> bool:
-    """Whether nothing is left that could move by itself."""
+    """Return whether nothing is left that could move by itself."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0
 
 
 def tilt_deg(before: Pose, after: Pose) -> float:
-    """How far the axis that pointed up has turned from the vertical [deg]."""
+    """Return how far the axis that pointed up has turned from the vertical [deg]."""
     up = before.rotation[2]
     return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))

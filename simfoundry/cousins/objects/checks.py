@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -11,7 +12,7 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
-from simfoundry.cousins.objects.appearance import Sort, sort_of
+from simfoundry.cousins.objects.appearance import CategoryPrior, category_prior
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.grasp_width import grasp_width
@@ -48,7 +49,7 @@ class Needs:
 
 
 def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]) -> Needs:
-    """What the tasks ask of the object ``name``, and, without any, what it does in its scene as it is."""
+    """Return what the tasks ask of the object ``name``, and, without any, what it does in its scene as it is."""
     calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
@@ -89,7 +90,7 @@ MARGIN = 0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Twin:
+class ObjectBaseline:
     """The thing that varies, lowered, and what it can do itself: only that is asked of its variants.
 
     ``rests`` are the calls that hold in its own trials, ``lacks`` those that do not, with why; ``opening`` [m] is that
@@ -104,7 +105,7 @@ class Twin:
     opening: float | None
 
     @classmethod
-    def of(cls, item: SceneObject, needs: Needs) -> Twin:
+    def of(cls, item: SceneObject, needs: Needs) -> ObjectBaseline:
         """Try the twin itself."""
         kept, lacks = [], []
         for call in needs.rests:
@@ -124,15 +125,16 @@ class Twin:
         return cls(item, needs, tuple(kept), tuple(lacks), steady.passed, opening)
 
 
-def faults(item: SceneObject, twin: Twin, category: str) -> Iterator[Reason]:
-    """Why a lowered candidate is none, the cheap checks first; nothing where it passes all."""
+def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
+    """Yield why a lowered candidate is none, the cheap checks first; nothing where it passes all."""
     yield from _open_meshes(item)
-    yield from _size(item, twin.item, sort_of(category))
+    yield from _size(item, twin.item, category_prior(category))
     if twin.opening is not None:
         width = grasp_width(solid(item))
         if width > twin.opening - MARGIN:
-            text = f"it is {length(width)} wide at its narrowest, and the gripper opens {length(twin.opening)}"
-            yield Reason("grip", text, {"width": width, "opening": twin.opening})
+            narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+            text = f"it {narrow}, and the gripper opens {length(twin.opening)}"
+            yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
     jam = moves(item, twin.item) if twin.needs.joints else None
     if jam is not None:
         yield jam
@@ -146,7 +148,7 @@ def faults(item: SceneObject, twin: Twin, category: str) -> Iterator[Reason]:
             yield Reason("affordance", f"{call} no longer holds: {outcome.why}")
 
 
-def _rests(call: Call, item: SceneObject, needs: Needs) -> Outcome:
+def _rests(call: Call, item: SceneObject, needs: Needs) -> TrialOutcome:
     return rests(call, {**needs.others, item.name: item})
 
 
@@ -165,7 +167,7 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
                 return
 
 
-def _size(item: SceneObject, twin: SceneObject, sort: Sort | None) -> Iterator[Reason]:
+def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> Iterator[Reason]:
     """Longest side, mass and density in the ranges of the kind, or near the twin's where that is not known."""
     low, high = bounds(item)
     side = float((high - low).max())
@@ -208,31 +210,31 @@ TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a trial; ``why`` says it with numbers."""
+class TrialOutcome:
+    """The result of a trial; ``why`` explains it with numbers."""
 
     passed: bool
     why: str
 
 
-def stands(item: SceneObject) -> Outcome:
-    """Whether a thing put on a table stays there, and does not topple when it is tilted a little."""
+def stands(item: SceneObject) -> TrialOutcome:
+    """Return whether a thing put on a table stays there, and does not topple when it is tilted a little."""
     placed = _on_table(item)
-    if isinstance(placed, Outcome):
+    if isinstance(placed, TrialOutcome):
         return placed
     with MujocoWorld(_scene(placed)) as world:
         report = settle(world).objects[0]
-    return Outcome(report.passed, "; ".join(report.problems) or f"moved {report.drift * 1000:.1f} mm")
+    return TrialOutcome(report.passed, "; ".join(report.problems) or f"moved {report.drift * 1000:.1f} mm")
 
 
-def rests(call: Call, things: Mapping[str, SceneObject]) -> Outcome:
-    """Whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` was put there and let go, in any of some ways.
+def rests(call: Call, things: Mapping[str, SceneObject]) -> TrialOutcome:
+    """Return whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` was let go there, in any of a few ways.
 
     ``things`` are ``a`` and ``b`` by name; the joints of ``b`` are opened.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     base = _on_table(_opened(things[b]))
-    if isinstance(base, Outcome):
+    if isinstance(base, TrialOutcome):
         return base
     why = f"`{a}` finds no place {'inside' if call.predicate == 'Inside' else 'on'} `{call.args[1]}`"
     for place in _places(call, base):
@@ -245,7 +247,7 @@ def rests(call: Call, things: Mapping[str, SceneObject]) -> Outcome:
         if outcome.passed:
             return outcome
         why = outcome.why
-    return Outcome(False, why)
+    return TrialOutcome(False, why)
 
 
 def _places(call: Call, base: SceneObject) -> Iterator[Place]:
@@ -260,18 +262,18 @@ def _places(call: Call, base: SceneObject) -> Iterator[Place]:
             yield place if local_xy is None else place.model_copy(update={"local_xy": local_xy})
 
 
-def _let_go(call: Call, a: SceneObject, b: SceneObject) -> Outcome:
+def _let_go(call: Call, a: SceneObject, b: SceneObject) -> TrialOutcome:
     scene = _scene(b, a)
     with MujocoWorld(scene) as world:
         state = _calmed(world)
         try:
             verdict = Judge(scene)(str(call), state)
         except PredicateError as error:
-            return Outcome(False, str(error))
+            return TrialOutcome(False, str(error))
         tilt = state.poses[b.name].rotation[2, 2]
     if tilt < np.cos(np.radians(5.0)):
-        return Outcome(False, f"`{b.name}` tilted {np.degrees(np.arccos(np.clip(tilt, -1, 1))):.0f} deg under it")
-    return Outcome(verdict.value, verdict.why)
+        return TrialOutcome(False, f"`{b.name}` tilted {np.degrees(np.arccos(np.clip(tilt, -1, 1))):.0f} deg under it")
+    return TrialOutcome(verdict.value, verdict.why)
 
 
 def _calmed(world: MujocoWorld) -> SceneState:
@@ -286,7 +288,10 @@ def _calmed(world: MujocoWorld) -> SceneState:
 
 
 def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
-    """Why a joint no longer moves as the twin's does: its range, or what it meets on its way; None where all do."""
+    """Return why a joint no longer moves as the twin's does: its range, or what it meets on its way.
+
+    None where all do.
+    """
     for joint in item.joints:
         own = next((j for j in twin.joints if j.name == joint.name), None)
         if joint.limits is None or own is None or own.limits is None:
@@ -335,12 +340,12 @@ def _opened(item: SceneObject) -> SceneObject:
     return replace(item, joints=joints)
 
 
-def _on_table(item: SceneObject) -> SceneObject | Outcome:
+def _on_table(item: SceneObject) -> SceneObject | TrialOutcome:
     free = replace(item, fixed=False, variants=())
     try:
         X_WO = solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None)
     except PlaceError as error:
-        return Outcome(False, error.message)
+        return TrialOutcome(False, error.message)
     return replace(free, X_WO=X_WO)
 
 

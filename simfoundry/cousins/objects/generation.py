@@ -19,10 +19,10 @@ from pydantic import BaseModel, Field
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
-from simfoundry.cousins.objects.item import Item, item_of_mesh, lay, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, item_of_mesh, lay, lowered
 from simfoundry.cousins.objects.meshes import FOLDER, joined
 from simfoundry.cousins.objects.procedural import Draft
-from simfoundry.cousins.objects.retrieval import USUAL, Library, Retrieval
+from simfoundry.cousins.objects.retrieval import USUAL, Retrieval, VariantLibrary
 from simfoundry.cousins.objects.variants import Origins
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
@@ -63,7 +63,7 @@ class PromptModel(Protocol):
         ...
 
 
-class Proposal(NamedTuple):
+class VariationProposal(NamedTuple):
     """A change of one component in one dimension, in the words of the VLM."""
 
     component: str
@@ -86,11 +86,11 @@ class Generation:
     scene: bytes
     picture: bytes | None = None
     counts: tuple[int, int, int] = (2, 2, 2)
-    _proposals: dict[str, list[Proposal]] = field(default_factory=dict)
+    _proposals: dict[str, list[VariationProposal]] = field(default_factory=dict)
     _pictures: dict[str, bytes] = field(default_factory=dict)
     _failures: int = 0
 
-    def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+    def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Candidate ``k``: the next proposal when its turn has come round to this source."""
         try:
             made = self._made(item, axis, seed, k)
@@ -104,7 +104,7 @@ class Generation:
         self._failures = 0
         return made
 
-    def _made(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+    def _made(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         if item.name not in self._proposals:
             self._pictures[item.name] = self.picture or picture_of(item)
             self._proposals[item.name] = list(self._propose(self._pictures[item.name], axis))
@@ -118,20 +118,20 @@ class Generation:
             return picture
         return built(item, self.meshes.make(picture, seed + k), proposals[place])
 
-    def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[Proposal]:
+    def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
         """Prompts A, B and C: what could be changed, round the components so that the first few differ."""
         names = self.vlm.ask(prompt("A"), [picture], ComponentNames).components
         wanted = [name for name in names if not axis.components or name in axis.components]
         queues = []
         for name in wanted:
             geometry, topology, visual = self.counts
-            if topology and not self.vlm.ask(prompt("B", component=name), [picture], Feasible).yes:
+            if topology and not self.vlm.ask(prompt("B", component=name), [picture], TopologyAnswer).yes:
                 topology = 0
             asked = prompt("C", component=name, num_geometry=geometry, num_topology=topology, num_visual=visual)
             told = self.vlm.ask(asked, [picture], Variations)
             limits = dict(zip(DIMENSIONS, (geometry, topology, visual), strict=True))
             queue = [
-                Proposal(name, dimension, words[:300])
+                VariationProposal(name, dimension, words[:300])
                 for dimension in DIMENSIONS
                 if CHANGES[dimension] in axis.changes
                 for words in getattr(told, dimension)[: limits[dimension]]
@@ -140,7 +140,7 @@ class Generation:
         for turn in range(max(map(len, queues), default=0)):
             yield from (queue[turn] for queue in queues if turn < len(queue))
 
-    def _edited(self, picture: bytes, proposal: Proposal) -> bytes | Reason:
+    def _edited(self, picture: bytes, proposal: VariationProposal) -> bytes | Reason:
         """Prompts D and E: a picture that the VLM finds reasonable, or why there is none."""
         asked = prompt(
             "D",
@@ -151,7 +151,7 @@ class Generation:
         why = ""
         for _ in range(ATTEMPTS):
             made = self.images.edit(asked, [picture, self.scene])
-            verdict = self.vlm.ask(prompt("E"), [self.scene, made], Verdict)
+            verdict = self.vlm.ask(prompt("E"), [self.scene, made], PictureVerdict)
             if verdict.real_world_reasonable and verdict.scene_reasonable:
                 return made
             why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
@@ -159,7 +159,7 @@ class Generation:
         return Reason("picture", text, {"attempts": float(ATTEMPTS)})
 
 
-def built(item: Item, glb: bytes, proposal: Proposal) -> Draft:
+def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
     """The draft of a made mesh: scaled to the twin's size, its foot on z = 0 in the middle, of the twin's material.
 
     Raises :class:`MeshError` for a mesh that cannot be read, or has several textures.
@@ -195,7 +195,7 @@ def fitted(vertices: Array, low: Array, high: Array) -> Array:
     return np.asarray((vertices - foot) * factor + np.array([*(low + high)[:2] / 2, low[2]]))
 
 
-def picture_of(item: Item, side: int = SIDE) -> bytes:
+def picture_of(item: ObjectAsset, side: int = SIDE) -> bytes:
     """A PNG, ``side`` pixels wide and high, of the thing alone from above in front, on a transparent background."""
     from PIL import Image
 
@@ -213,13 +213,13 @@ def picture_of(item: Item, side: int = SIDE) -> bytes:
     return stream.getvalue()
 
 
-def _alone(item: Item) -> SceneObject:
+def _alone(item: ObjectAsset) -> SceneObject:
     with TemporaryDirectory(prefix="simfoundry-alone-") as folder:
         lay(item.files, Path(folder))
         return lowered(item.spec, Path(folder), item.name)
 
 
-def _bounds_of(item: Item) -> tuple[Array, Array]:
+def _bounds_of(item: ObjectAsset) -> tuple[Array, Array]:
     return bounds(_alone(item))
 
 
@@ -233,23 +233,23 @@ PROMPTS = {
 """Functional components, whether topology may change, variations, the edit of the picture, the verdict."""
 
 
-class Answer(BaseModel):
-    """What a model answers: read by a schema, never run, and cut to what is used."""
+class PromptAnswer(BaseModel):
+    """An answer of a model: read by a schema, never run, and cut to what is used."""
 
 
-class ComponentNames(Answer):
+class ComponentNames(PromptAnswer):
     """Answer to A."""
 
     components: list[str] = Field(min_length=1, max_length=16, description="Names of the functional components.")
 
 
-class Feasible(Answer):
+class TopologyAnswer(PromptAnswer):
     """Answer to B."""
 
     yes: bool = Field(description="Whether a variation of topology is reasonable.")
 
 
-class Variations(Answer):
+class Variations(PromptAnswer):
     """Answer to C."""
 
     geometry: list[str] = Field(default=[], max_length=16, description="Variations of geometry.")
@@ -257,7 +257,7 @@ class Variations(Answer):
     visual: list[str] = Field(default=[], max_length=16, description="Variations of the looks.")
 
 
-class Verdict(Answer):
+class PictureVerdict(PromptAnswer):
     """Answer to E."""
 
     real_world_reasonable: bool = Field(description="Whether such a thing is reasonable in the real world.")
@@ -283,8 +283,8 @@ def _environment() -> Any:
 
 
 @dataclass(frozen=True)
-class Given:
-    """What a run brings along: the folder of its ``library``, and the name of a ``vlm`` where the recipe has none.
+class SourceSetup:
+    """Sources that a run brings along: the folder of its ``library``, and a ``vlm`` if the recipe names none.
 
     ``scene`` is the document of the twin's scene, of which models see a picture.
     """
@@ -294,20 +294,20 @@ class Given:
     vlm: str = ""
 
 
-def opened(axis: ObjectAxis, given: Given, cache: Cache | None = None) -> Mapping[str, Origins]:
+def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> Mapping[str, Origins]:
     """The sources that the objects of an axis name; raises :class:`ImpossibleError` with all that one of them lacks."""
     wanted = {source: name for name, of in reversed(axis.objects.items()) for source in of.sources}
     found: dict[str, Origins] = {}
     if "library" in wanted:
         if given.library is None:
             raise _lacking(wanted["library"], "library", "a `library`")
-        found["library"] = Retrieval(Library(given.library, cache))
+        found["library"] = Retrieval(VariantLibrary(given.library, cache))
     if "model" in wanted:
         found["model"] = _generation(axis, given, wanted["model"])
     return found
 
 
-def _generation(axis: ObjectAxis, given: Given, name: str) -> Generation:
+def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     """The models of the paper, as the recipe and the environment name them."""
     models, lacks = axis.models, []
     try:

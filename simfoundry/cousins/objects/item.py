@@ -29,7 +29,7 @@ _OF_BODY = tuple(BodySpec.model_fields)
 
 
 @dataclass(frozen=True, eq=False)
-class Item:
+class ObjectAsset:
     """A thing: its ``spec``, flat, with every file it names absolute in ``files`` by the name that the spec has for it.
 
     ``name`` is that of the object in its scene, or of the asset; ``category`` says what it is; ``source`` names where
@@ -43,7 +43,7 @@ class Item:
     files: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
 
-def item_of(scene: Loaded, name: str) -> Item:
+def item_of(scene: Loaded, name: str) -> ObjectAsset:
     """The object ``name`` of a checked scene document; a KeyError lists the names there are."""
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
@@ -59,26 +59,26 @@ def item_of(scene: Loaded, name: str) -> Item:
     return _item_of_body(scene, name, written, scene.spec.materials)
 
 
-def item_of_asset(asset: Loaded) -> Item:
+def item_of_asset(asset: Loaded) -> ObjectAsset:
     """A checked asset document as the thing that it describes."""
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
     files = {mesh: asset.file(mesh) for mesh in meshes}
     flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}})
-    return Item(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
+    return ObjectAsset(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
 
 
-def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> Item:
+def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> ObjectAsset:
     """A mesh file as a thing of one part."""
     link = LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})
     spec = AssetSpec(
         simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
     )
-    return Item(name, category, spec, path.name, MappingProxyType({path.name: path}))
+    return ObjectAsset(name, category, spec, path.name, MappingProxyType({path.name: path}))
 
 
-def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> Item:
+def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> ObjectAsset:
     """A primitive or a mesh of a scene as an asset of one link."""
     body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
     files: dict[str, Path] = {}
@@ -97,7 +97,7 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapp
         materials=used,
         links={LINK: LinkSpec(**body, parts={"body": part})},
     )
-    return Item(name, category, spec, f"{scene.spec.name if scene.spec else ''}.{name}", MappingProxyType(files))
+    return ObjectAsset(name, category, spec, f"{scene.spec.name if scene.spec else ''}.{name}", MappingProxyType(files))
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:

@@ -12,7 +12,7 @@ import numpy as np
 from simfoundry.cousins.objects.appearance import APPEARANCE, recolor
 from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
 from simfoundry.cousins.objects.geometry import GEOMETRY, Edit, Rng, lathe_of, stretch, with_profile
-from simfoundry.cousins.objects.item import Item
+from simfoundry.cousins.objects.item import ObjectAsset
 from simfoundry.cousins.objects.meshes import deformed, swept
 from simfoundry.cousins.objects.parts import FLAT, LOW, THINNEST, WIDE, Profile, parts_of
 from simfoundry.cousins.objects.skins import skinned
@@ -237,7 +237,7 @@ class Draft:
     kept: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
 
-def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:
+def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:
     """A candidate that differs in some of ``changes``, in the components named in ``only``, by default in any.
 
     The same generator state gives the same draft.
@@ -268,7 +268,7 @@ def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> 
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
+    """Return whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.objects.appearance import same_kind
 from simfoundry.cousins.objects.geometry import stretched
-from simfoundry.cousins.objects.item import Item, item_of_asset, item_of_mesh, lay, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, item_of_mesh, lay, lowered
 from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.errors import SimfoundryError
@@ -48,7 +48,7 @@ elsewhere), or their colours by 12 in L*a*b*: five times what is just seen (Mahy
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """What a thing looks like: ``size`` [m] along x, y, z, shape (3,); ``shape`` shares of the pairs of points by their
+    """The looks of an object: ``size`` [m] along x, y, z, shape (3,); ``shape`` shares of the pairs of points by their
     distance, shape (24,), of sum 1; ``colors`` L*a*b* of what is seen of it, by area, shape (k, 3), with ``areas`` as
     shares, shape (k,); ``mass`` [kg].
     """
@@ -59,15 +59,15 @@ class Likeness:
     areas: Array
     mass: float
 
-    def apart(self, other: Likeness) -> Apart:
-        """How far another is from this."""
+    def apart(self, other: Likeness) -> LikenessDistance:
+        """Return how far another is from this."""
         size = float(np.abs(np.log(self.size / other.size)).max())
         shape = float(np.abs(self.shape - other.shape).sum() / 2)
-        return Apart(size, shape, color_distance(self, other))
+        return LikenessDistance(size, shape, color_distance(self, other))
 
 
 @dataclass(frozen=True)
-class Apart:
+class LikenessDistance:
     """``size``: the largest ratio of two sides, as a logarithm; ``shape``: between 0 and 1; ``color`` in L*a*b*."""
 
     size: float
@@ -178,15 +178,15 @@ USUAL = Material(density=700.0, friction=0.5, restitution=0.1)
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class VariantEntry:
     """A thing of a library, and what it looks like."""
 
-    item: Item
+    item: ObjectAsset
     likeness: Likeness
 
 
-class Library:
-    """What a folder offers: asset documents, and mesh files, whose category is the name of the folder that they are in.
+class VariantLibrary:
+    """The assets of a folder: documents, and mesh files, whose category is the name of the folder that they are in.
 
     ``left_out`` are files that cannot be used, with why. Raises :class:`SimfoundryError` where there is no folder.
     """
@@ -196,7 +196,7 @@ class Library:
             raise SimfoundryError(f"the library {folder} is no folder")
         self.folder = folder
         self.left_out: dict[str, str] = {}
-        self.entries: list[Entry] = []
+        self.entries: list[VariantEntry] = []
         for path in sorted(folder.rglob("*")):
             if path.name.endswith(".asset.yaml") or path.suffix.lower() in MESH_SUFFIXES:
                 self._add(path, cache, scale)
@@ -208,9 +208,9 @@ class Library:
         except SpecError as error:
             self.left_out[path.relative_to(self.folder).as_posix()] = error.diagnostics[0].message
             return
-        self.entries.append(Entry(item, likeness(thing)))
+        self.entries.append(VariantEntry(item, likeness(thing)))
 
-    def ranked(self, item: Item, like: Likeness) -> list[tuple[float, float, Entry]]:
+    def ranked(self, item: ObjectAsset, like: Likeness) -> list[tuple[float, float, VariantEntry]]:
         """The entries from the most alike: distance, the factor that scales it to the twin's size, and the entry.
 
         An entry that is the twin itself, by its document, is not among them.
@@ -231,11 +231,11 @@ class Library:
 class Retrieval:
     """A source of candidates: the entries of a library in the order of their likeness to the twin."""
 
-    def __init__(self, library: Library) -> None:
+    def __init__(self, library: VariantLibrary) -> None:
         self.library = library
-        self._ranked: dict[str, list[tuple[float, float, Entry]]] = {}
+        self._ranked: dict[str, list[tuple[float, float, VariantEntry]]] = {}
 
-    def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+    def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Candidate ``k``: the next entry when its turn has come round to this source."""
         if item.name not in self._ranked:
             self._ranked[item.name] = self.library.ranked(item, _likeness_of(item))
@@ -255,12 +255,12 @@ class Retrieval:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """What a library holds: the SHA-256 of each file by its path in the folder, sorted."""
+    """Return what a library holds: the SHA-256 of each file by its path in the folder, sorted."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
-def _read(path: Path, folder: Path, scale: float) -> Item:
+def _read(path: Path, folder: Path, scale: float) -> ObjectAsset:
     if path.name.endswith(".asset.yaml"):
         loaded = load(path)
         if loaded.errors or not isinstance(loaded.spec, AssetSpec):
@@ -284,7 +284,7 @@ def _flat(spec: AssetSpec) -> AssetSpec:
     return spec.model_copy(update={"description": None, "origin": None})
 
 
-def _likeness_of(item: Item) -> Likeness:
+def _likeness_of(item: ObjectAsset) -> Likeness:
     with TemporaryDirectory(prefix="simfoundry-likeness-") as folder:
         lay(item.files, Path(folder))
         return likeness(lowered(item.spec, Path(folder), item.name))

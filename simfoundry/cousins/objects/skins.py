@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.cousins.objects.appearance import PAINTS, WHITE, Color, color_of, sort_of, varied
+from simfoundry.cousins.objects.appearance import Color, category_prior, color_of, priors, varied
 from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.meshes import FOLDER
@@ -25,7 +25,6 @@ PIXELS = 192
 AROUND = 64
 """Sides of what is turned; its chords then depart from the circle by 0.1 % of the radius."""
 
-MILLIMETRE = 0.001
 
 Field = NDArray[np.float64]
 """Values in [0, 1], shape (PIXELS, PIXELS), from the top down: of a pattern the share of the second colour."""
@@ -45,12 +44,12 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
-    sort = sort_of(spec.category or spec.name)
+    sort = category_prior(spec.category or spec.name)
     parts = parts_of(spec)
-    base = color_of(spec, component.parts[0]) or WHITE
+    base = color_of(spec, component.parts[0]) or priors().white
     names = _patterns(spec, parts[component.parts[0]], component)
     name = names[int(rng.integers(len(names)))]
-    second = _second(base, name, sort.colors if sort is not None else PAINTS, rng)
+    second = _second(base, name, sort.colors if sort is not None else priors().paints, rng)
     if name not in NATURAL and rng.random() < 0.5:
         base, second = second, base
     image = _painted(PATTERNS[name], base, second, rng)
@@ -75,12 +74,12 @@ SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kin
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
+    """Return whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
 def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[str, ...]:
-    """What things of a kind and material are decorated with."""
+    """Return what things of a kind and material are decorated with."""
     material = part.material or spec.links[component.link].material or ""
     category = spec.category or spec.name
     for words, names in STYLES:
@@ -95,7 +94,7 @@ def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Col
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
         return r, g, b
-    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [WHITE]
+    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [priors().white]
     return varied(far[int(rng.integers(len(far)))], rng)
 
 
@@ -181,7 +180,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """How far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
+    """Return how far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])

@@ -23,13 +23,13 @@ from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts, weld
-from simfoundry.cousins.objects.appearance import STUFFS
-from simfoundry.cousins.objects.checks import Needs, Twin, faults
+from simfoundry.cousins.objects.appearance import priors
+from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults
 from simfoundry.cousins.objects.geometry import is_ball
-from simfoundry.cousins.objects.item import Item, lay, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, lay, lowered
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
-from simfoundry.cousins.objects.retrieval import Apart, Likeness, likeness
+from simfoundry.cousins.objects.retrieval import Likeness, LikenessDistance, likeness
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
@@ -54,7 +54,7 @@ Progress = Callable[[int, int], None]
 class Origins(Protocol):
     """A source of candidates."""
 
-    def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+    def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Candidate ``k``, or why there is none; the same for the same arguments."""
         ...
 
@@ -98,7 +98,7 @@ class Refused:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """What came of it; ``lacks`` is what the twin itself cannot do, which was not asked of the variants."""
+    """Accepted and refused variants; ``lacks`` is what the twin itself cannot do, which was not asked of them."""
 
     accepted: tuple[Variant, ...]
     refused: tuple[Refused, ...]
@@ -106,12 +106,12 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How often each reason was given, the commonest first."""
+        """Return how often each reason was given, the commonest first."""
         counts = Counter(reason.code for one in self.refused for reason in one.reasons)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 
-def procedural(item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
     """Candidates by rules."""
     try:
         made = draft(item, axis.changes, axis.components, rng_of(seed, item.name, k))
@@ -123,7 +123,7 @@ def procedural(item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | R
 
 
 def variants(
-    item: Item,
+    item: ObjectAsset,
     axis: ObjectVariants,
     needs: Needs | None = None,
     seed: int = 0,
@@ -146,7 +146,7 @@ def variants(
         folder = Path(scratch)
         lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
-        twin, first = Twin.of(base, needs), likeness(base)
+        twin, first = ObjectBaseline.of(base, needs), likeness(base)
         # What rules make must not be the twin in another colour; a library holds what it holds, a ball has one shape.
         form = "geometry" in axis.changes and not axis.components and not is_ball(item.spec)
         for k in range(MOST_TRIES * axis.count):
@@ -182,8 +182,8 @@ def write(variant: Variant, folder: Path) -> Path:
 
 
 def _examined(
-    item: Item,
-    twin: Twin,
+    item: ObjectAsset,
+    twin: ObjectBaseline,
     made: Draft,
     k: int,
     source: str,
@@ -229,7 +229,7 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
     With ``form``, size or shape must differ, whatever the colour.
     """
 
-    def away(apart: Apart) -> float:
+    def away(apart: LikenessDistance) -> float:
         return apart.form if form else apart.distance
 
     nearest = min((variant.likeness.apart(other) for other in others), key=away)
@@ -240,7 +240,7 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
     return Refused(variant.k, variant.source, variant.changed, (reason,))
 
 
-def _named(spec: AssetSpec, item: Item, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
+def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
     """The document with a name by its content, its category, and where it comes from."""
     plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
     content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
@@ -251,7 +251,7 @@ def _named(spec: AssetSpec, item: Item, made: Draft, k: int, source: str, seed: 
     return plain.model_copy(update={"name": name, "origin": Origin(note=note[:NOTE])})
 
 
-def _checked(spec: AssetSpec, item: Item) -> AssetSpec:
+def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
     """The document with its category, and only the materials that it uses."""
     used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
     materials = {name: material for name, material in spec.materials.items() if name in used}
@@ -311,8 +311,8 @@ def _volume(part: PartSpec, volumes: Mapping[str, float]) -> float:
 
 def _density(name: str | None, materials: Mapping[str, Material], side: int) -> float:
     density = (materials[name].density if name is not None else None) or 1000.0
-    if name is not None and name in STUFFS and side:
-        low, high = STUFFS[name].density
+    if name is not None and name in priors().materials and side:
+        low, high = priors().materials[name].density
         return min(low, density) if side < 0 else max(high, density)
     return density * (1 + side * DOUBT)
 

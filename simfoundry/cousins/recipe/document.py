@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.cousins.recipe.library import Item, default_folder, filtered, read_library, remarks, united
+from simfoundry.cousins.recipe.library import LibraryItem, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
@@ -61,17 +61,17 @@ class Recipe:
         return (self.task or self.scene).path
 
     @property
-    def distractors(self) -> tuple[Item, ...]:
+    def distractors(self) -> tuple[LibraryItem, ...]:
         """The things that may be put beside the task; raises :class:`ImpossibleError` where there are none."""
         return self._choice[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the choice of distractors."""
+        """Return what a user should know of the choice of distractors."""
         return self._choice[1]
 
     @cached_property
-    def _choice(self) -> tuple[tuple[Item, ...], tuple[str, ...]]:
+    def _choice(self) -> tuple[tuple[LibraryItem, ...], tuple[str, ...]]:
         axis = self.spec.distractors
         if axis is None:
             return (), ()
@@ -98,7 +98,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """What a run is of: the same, the same bytes."""
+        """Return what a run is of: the same, the same bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -115,7 +115,7 @@ class Recipe:
         }
 
     def _object_files(self) -> dict[str, str]:
-        """What the library of the object axis holds."""
+        """Return what the library of the object axis holds."""
         axis = self.spec.object
         if axis is None or axis.library is None:
             return {}

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache, key_of
-from simfoundry.cousins.objects.appearance import same_kind, sort_of
+from simfoundry.cousins.objects.appearance import category_prior, same_kind
 from simfoundry.cousins.objects.retrieval import Likeness, likeness
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
@@ -39,7 +39,7 @@ _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", 
 
 
 @dataclass(frozen=True)
-class Item:
+class LibraryItem:
     """A thing of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounds.
 
     ``stated`` says whether its document gives the category; otherwise that is what its file is called.
@@ -60,7 +60,7 @@ class Item:
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """How a scene describes it, with its file under ``reference``."""
+        """Return how a scene describes it, with its file under ``reference``."""
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -72,7 +72,7 @@ class Library:
     """The things of a folder by name, and what of it cannot be used, with the reason."""
 
     title: str
-    items: tuple[Item, ...]
+    items: tuple[LibraryItem, ...]
     faults: tuple[tuple[str, str], ...] = ()
 
 
@@ -88,7 +88,7 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
     """
     if not folder.is_dir():
         raise SimfoundryError(f"there is no library {folder}: give a folder of .asset.yaml documents or meshes")
-    items: dict[str, Item] = {}
+    items: dict[str, LibraryItem] = {}
     faults = []
     for file in _files(folder):
         try:
@@ -103,7 +103,7 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
 
 def united(libraries: Sequence[Library]) -> Library:
     """Several libraries as one, in this order; what is in two of them is there once."""
-    items: dict[str, Item] = {}
+    items: dict[str, LibraryItem] = {}
     digests = set[str]()
     for item in (item for of in libraries for item in of.items):
         if item.digest not in digests:
@@ -139,7 +139,7 @@ def _meshes_of(document: Path) -> list[Path]:
 
 
 def name_of(file: Path) -> str:
-    """What a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
+    """Return what a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
     stem = file.name.split(".")[0]
     if stem.lower() in _NAMELESS or stem.lower().startswith("google"):
         stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
@@ -174,7 +174,7 @@ def lowered(file: Path) -> SceneObject:
     return lower(described(file), Cache.default()).objects[0]
 
 
-def measured(file: Path, cache: Cache) -> Item:
+def measured(file: Path, cache: Cache) -> LibraryItem:
     """A file with its facts, from the cache where they are; raises :class:`SpecError` for what is no thing."""
     from simfoundry.targets.inputs import record
 
@@ -190,11 +190,11 @@ def measured(file: Path, cache: Cache) -> Item:
         facts = {**measure(lowered(file)), "stated": _states_category(loaded, file)}
         cache.put(key, json.dumps(facts).encode())
     size, stated = tuple(facts["size"]), facts["stated"]
-    return Item(name_of(file), facts["category"], file, facts["mass"], facts["volume"], size, digest, stated)
+    return LibraryItem(name_of(file), facts["category"], file, facts["mass"], facts["volume"], size, digest, stated)
 
 
 def _states_category(scene: Loaded, file: Path) -> bool:
-    """Whether the document of a thing gives its category; a mesh never does."""
+    """Return whether the document of a thing gives its category; a mesh never does."""
     from simfoundry.spec.models.asset import AssetSpec
 
     asset = scene.used(file.name)
@@ -254,16 +254,16 @@ LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 
 @dataclass(frozen=True)
-class Step:
+class FilterStep:
     """One filter: what it asks for, and what it took away of those that had passed the filters before it."""
 
     asks: str
-    taken: tuple[Item, ...]
+    taken: tuple[LibraryItem, ...]
 
 
 def filtered(
     library: Library, axis: DistractorAxis, own: Iterable[str] = (), twin: Callable[[], Sequence[SceneObject]] = tuple
-) -> tuple[tuple[Item, ...], list[Step]]:
+) -> tuple[tuple[LibraryItem, ...], list[FilterStep]]:
     """The things that an axis allows, and what each of its filters took away.
 
     Where the axis names no categories, what an instruction could mean instead of a thing of the twin is left out: of a
@@ -271,11 +271,11 @@ def filtered(
     and labels. A thing of the library that states no category is judged by its name, and where that says nothing, by
     its size and shape beside the things that ``twin`` returns. Raises :class:`ImpossibleError` where nothing is left.
     """
-    left, steps = library.items, list[Step]()
+    left, steps = library.items, list[FilterStep]()
     for asks, passes in _filters(axis, tuple(own), twin):
         taken = tuple(item for item in left if not passes(item))
         left = tuple(item for item in left if passes(item))
-        steps.append(Step(asks, taken))
+        steps.append(FilterStep(asks, taken))
     if not left and axis.count[1] > 0:
         raise ImpossibleError((_nothing_left(library, axis, steps),))
     return left, steps
@@ -283,7 +283,7 @@ def filtered(
 
 def _filters(
     axis: DistractorAxis, own: tuple[str, ...], twin: Callable[[], Sequence[SceneObject]]
-) -> Iterator[tuple[str, Callable[[Item], bool]]]:
+) -> Iterator[tuple[str, Callable[[LibraryItem], bool]]]:
     if axis.categories:
         yield f"category {_listed(axis.categories)}", lambda item: item.category in axis.categories
     elif own:
@@ -300,19 +300,19 @@ def _filters(
             yield f"{what} {_range(bounds)} {unit}", _within(what, bounds)
 
 
-def _is_called(item: Item, words: Iterable[str]) -> bool:
-    """Whether a thing is of a kind that one of the words names: by its category, or its name where it states none."""
+def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
+    """Return whether one of the words names an object's kind: by its category, or its name if it states none."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
 
-def _is_nameless(item: Item) -> bool:
-    """Whether neither a category nor a word of its name says what a thing is."""
-    return not item.stated and sort_of(item.name) is None
+def _is_nameless(item: LibraryItem) -> bool:
+    """Return whether neither a category nor a word of its name says what a thing is."""
+    return not item.stated and category_prior(item.name) is None
 
 
-def _resembles(item: Item, things: Sequence[SceneObject]) -> bool:
-    """Whether a thing is about as large as one of the others and has about its shape."""
+def _resembles(item: LibraryItem, things: Sequence[SceneObject]) -> bool:
+    """Return whether a thing is about as large as one of the others and has about its shape."""
     mine = _likeness(item.file)
     return any(
         apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
@@ -327,8 +327,8 @@ def _likeness(file: Path) -> Likeness:
     return likeness(lowered(file))
 
 
-def remarks(library: Library, chosen: Sequence[Item], steps: Sequence[Step]) -> tuple[str, ...]:
-    """What a user should know of the choice: what was left out beside the twin, and what states no category."""
+def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
+    """Return what a user should know of the choice: what was left out beside the twin, and what states no category."""
     found = []
     for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
         if step.taken:
@@ -342,13 +342,13 @@ def remarks(library: Library, chosen: Sequence[Item], steps: Sequence[Step]) -> 
     return tuple(found)
 
 
-def _few(items: Sequence[Item], most: int = 5) -> str:
+def _few(items: Sequence[LibraryItem], most: int = 5) -> str:
     names = ", ".join(f"`{item.name}`" for item in items[:most])
     return names if len(items) <= most else f"{names} and {len(items) - most} more"
 
 
-def _within(what: str, bounds: ValueRange) -> Callable[[Item], bool]:
-    def passes(item: Item) -> bool:
+def _within(what: str, bounds: ValueRange) -> Callable[[LibraryItem], bool]:
+    def passes(item: LibraryItem) -> bool:
         value = float(getattr(item, what))
         over = bounds.max is not None and value > bounds.max
         return not over and not (bounds.min is not None and value < bounds.min)
@@ -356,8 +356,8 @@ def _within(what: str, bounds: ValueRange) -> Callable[[Item], bool]:
     return passes
 
 
-def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> Reason:
-    """How many there were, and what each filter took."""
+def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
+    """Return how many there were, and what each filter took."""
     total = len(library.items)
     text = f"no distractor is left of the {total} in {library.title}"
     numbers = {"library": float(total)}
@@ -376,7 +376,7 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> 
     return Reason("no_distractor", text, numbers)
 
 
-def _spread(step: Step) -> str:
+def _spread(step: FilterStep) -> str:
     """From what to what the things have of what a filter asks: `` (theirs 0.012 to 4.1)``."""
     what = step.asks.split()[0]
     if what not in ("mass", "volume", "density"):
@@ -395,6 +395,6 @@ def _listed(names: Iterable[str]) -> str:
     return " or ".join(f"`{name}`" for name in names)
 
 
-def facts(item: Item) -> dict[str, Any]:
+def facts(item: LibraryItem) -> dict[str, Any]:
     """A plain mapping, for lists."""
     return {**asdict(item), "file": item.file.name, "density": item.density}

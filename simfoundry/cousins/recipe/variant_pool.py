@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.cousins.recipe.document import Recipe
-from simfoundry.cousins.recipe.library import Item
+from simfoundry.cousins.recipe.library import LibraryItem
 from simfoundry.cousins.recipe.overlay import relative
 from simfoundry.cousins.run.log import WORK
 from simfoundry.errors import OutputError
@@ -64,7 +64,7 @@ class VariantPool:
 
 
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
+    """Return what a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.recipe.variant_pool import tasks_of
 
     others, tasks = choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
@@ -79,7 +79,7 @@ def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice,
 
     ``vlm`` names a model that may be asked for them, where the recipe names none.
     """
-    from simfoundry.cousins.objects.generation import Given
+    from simfoundry.cousins.objects.generation import SourceSetup
     from simfoundry.cousins.objects.swap import made_for
 
     axis, folder = recipe.spec.object, out / ASSETS / "objects"
@@ -87,16 +87,16 @@ def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice,
         return {}
     library = None if axis.library is None else located(axis.library, recipe.loaded.path)
     tasks = [] if recipe.task_spec is None else [recipe.task_spec]
-    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, Given(recipe.scene.path, library, vlm))
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, SourceSetup(recipe.scene.path, library, vlm))
     return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 
-def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
-    """How cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
+def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
+    """Return how cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
     return {item.name: _reference(item, root, out) for item in items}
 
 
-def _reference(item: Item, root: Path, out: Path) -> str:
+def _reference(item: LibraryItem, root: Path, out: Path) -> str:
     if item.file.resolve().is_relative_to(root):
         return relative(item.file, out)
     return relative(copied(item.file, out / ASSETS / item.digest[:8] / item.name), out)

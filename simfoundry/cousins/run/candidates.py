@@ -32,8 +32,8 @@ KEPT_TWINS = 8
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Which recipe, with which seed, written where: all that a process needs to make candidates.
+class SamplerSetup:
+    """The recipe, the seed and the output folder: all that a process needs to make candidates.
 
     ``vlm`` names a model, which the process that begins a run may ask.
     """
@@ -55,7 +55,7 @@ class CandidateSampler:
     twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def load(cls, setup: Setup) -> CandidateSampler:
+    def load(cls, setup: SamplerSetup) -> CandidateSampler:
         """Read the recipe, let the twin come to rest, and find what its axes choose from."""
         recipe, out = read_recipe(Path(setup.recipe), setup.seed), Path(setup.out)
         twin = Twin.load(recipe.twin_file, Cache.default())
@@ -82,7 +82,7 @@ class CandidateSampler:
             return Candidate(index, reasons=found.reasons)
         return _written(self, draw, found, index)
 
-    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.Item]) -> Twin:
+    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
         """Return the twin with other objects in the place of some, and more that are not there yet."""
         if not others and not added:
             return self.twin
@@ -99,16 +99,16 @@ class CandidateSampler:
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """What chance chose: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
+    """A random draw: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
 
     twin: Twin
     layout: Layout
     others: Mapping[str, Choice]
-    added: Mapping[str, library.Item]
+    added: Mapping[str, library.LibraryItem]
 
     @property
     def is_moved(self) -> bool:
-        """Whether anything is not as in the twin, so that it has to settle."""
+        """Return whether anything is not as in the twin, so that it has to settle."""
         return bool(self.layout.poses or self.others or self.added)
 
 
@@ -130,7 +130,7 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
     return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added)
 
 
-def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.Item]:
+def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
     """Things from the library, none twice before each was taken once, by names that the scene has not yet."""
     axis = shared.recipe.spec.distractors
     if axis is None:
@@ -141,7 +141,7 @@ def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str
     )
     count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
     order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
-    found: dict[str, library.Item] = {}
+    found: dict[str, library.LibraryItem] = {}
     for k in order[:count]:
         name = next(n for n in library.names(items[k].name) if n not in taken and n not in found)
         found[name] = items[k]
@@ -191,7 +191,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
+    """Return why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.proposals import context_at
@@ -204,7 +204,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
-    """What the documents say of other and of new things, but for where they are."""
+    """Return what the documents say of other and of new things, but for where they are."""
     found: dict[str, overlay.Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
@@ -227,7 +227,7 @@ _OF_LINKS = _of_links()
 
 
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
-    """What holds: of what the twin states, then what was asked for, then what new things stand on."""
+    """Return what holds: of what the twin states, then what was asked for, then what new things stand on."""
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:

@@ -23,8 +23,8 @@ WORK = ".cousins"
 WHOLE = "log.jsonl"
 
 
-class Place(NamedTuple):
-    """Where the line of a candidate is, and whether it says that the candidate is accepted."""
+class LogEntry(NamedTuple):
+    """The place of a candidate's line in a log, and whether the candidate is accepted."""
 
     file: Path
     start: int
@@ -42,9 +42,9 @@ def logs(out: Path) -> list[Path]:
     return sorted((out / WORK).glob("log*.jsonl"), key=lambda path: (path.name != WHOLE, path.name))
 
 
-def read_places(file: Path) -> dict[int, Place]:
+def read_places(file: Path) -> dict[int, LogEntry]:
     """The whole lines of a log by index of the candidate. Raises :class:`OutputError` for what is no log."""
-    found: dict[int, Place] = {}
+    found: dict[int, LogEntry] = {}
     if not file.is_file():
         return found
     with file.open("rb") as stream:
@@ -58,7 +58,7 @@ def read_places(file: Path) -> dict[int, Place]:
                     f"{file}:{number} is no line of a log of cousins; move the file away, and its candidates "
                     "are examined anew"
                 )
-            found[index] = Place(file, start, len(line), b'"reasons":' not in line[:40])
+            found[index] = LogEntry(file, start, len(line), b'"reasons":' not in line[:40])
             start += len(line)
     return found
 
@@ -77,13 +77,13 @@ class Reader:
     def __init__(self) -> None:
         self._open: dict[Path, int] = {}
 
-    def line(self, place: Place) -> bytes:
+    def line(self, place: LogEntry) -> bytes:
         """The line at a place."""
         if place.file not in self._open:
             self._open[place.file] = os.open(place.file, os.O_RDONLY)
         return os.pread(self._open[place.file], place.length, place.start)
 
-    def candidate(self, place: Place) -> Candidate:
+    def candidate(self, place: LogEntry) -> Candidate:
         """The candidate at a place."""
         return Candidate.of(self.line(place))
 
@@ -113,14 +113,14 @@ class Log:
         _lock(self._stream.fileno(), file)
         self._cut_torn_line()
 
-    def add(self, candidate: Candidate) -> Place:
+    def add(self, candidate: Candidate) -> LogEntry:
         """Write a candidate, so that it outlives a kill of the machine."""
         line = candidate.line().encode() + b"\n"
         start = self._stream.tell()
         self._stream.write(line)
         self._stream.flush()
         os.fsync(self._stream.fileno())
-        return Place(self.file, start, len(line), candidate.accepted)
+        return LogEntry(self.file, start, len(line), candidate.accepted)
 
     def close(self) -> None:
         """Let go of the file."""
@@ -145,17 +145,17 @@ class Log:
         self._stream.seek(end)
 
 
-def replace_logs(out: Path, places: Iterable[tuple[int, Place]]) -> dict[int, Place]:
+def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int, LogEntry]:
     """Make one log of the lines at ``places`` by index, in their order, in the place of all that are there.
 
     Returns where the lines are now.
     """
-    old, now = logs(out), dict[int, Place]()
+    old, now = logs(out), dict[int, LogEntry]()
     whole, start = out / WORK / WHOLE, 0
     with Reader() as reader, writing_atomically(whole) as stream:
         for index, place in places:
             stream.write(reader.line(place))
-            now[index] = Place(whole, start, place.length, place.accepted)
+            now[index] = LogEntry(whole, start, place.length, place.accepted)
             start += place.length
     for file in old:
         if file != whole:

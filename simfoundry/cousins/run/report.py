@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Reader
-from simfoundry.cousins.run.run import MANIFEST, Ledger, Plan
+from simfoundry.cousins.run.run import MANIFEST, Ledger, RunPlan
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import writing_atomically
 
@@ -26,7 +26,7 @@ VERSION = "cousins-run/1"
 FILE = MANIFEST
 
 
-def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:
+def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
     """The figures of a run with those of its variants; ``end`` is complete, hopeless or exhausted."""
     return {
         "simfoundry": VERSION,
@@ -42,7 +42,7 @@ def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     }
 
 
-def write_manifest(plan: Plan, ledger: Ledger) -> Path:
+def write_manifest(plan: RunPlan, ledger: Ledger) -> Path:
     """Write the manifest beside the cousins."""
     path = plan.out / FILE
     with Reader() as reader, writing_atomically(path) as stream:
@@ -83,7 +83,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
-    """How a run stands, in few words: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
+    """Return how a run stands, in few words: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
     text = f"{len(ledger.accepted)} of {ledger.wanted}"
     if ledger.examined:
         text += f", {ledger.rate:.0%} accepted"

@@ -17,7 +17,7 @@ from typing import Any
 
 from simfoundry.cousins.objects.swap import VariantCount
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.run.log import WORK, Log, Place, Reader, log_file, logs, read_places, replace_logs
+from simfoundry.cousins.run.log import WORK, Log, LogEntry, Reader, log_file, logs, read_places, replace_logs
 from simfoundry.cousins.run.worker_pools import CandidatePool
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
@@ -29,8 +29,8 @@ LEAST_RATE = 0.005
 """A recipe of whose candidates fewer than this share is accepted is too hard."""
 
 
-class End(StrEnum):
-    """How a run ended, or that it did not yet."""
+class RunEnd(StrEnum):
+    """The end of a run, or that it goes on."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -51,19 +51,19 @@ class Ledger:
     first: int = 1
     step: int = 1
     most: int | None = None
-    known: dict[int, Place] = field(default_factory=dict)
+    known: dict[int, LogEntry] = field(default_factory=dict)
     accepted: list[int] = field(default_factory=list)
     totals: Counter[str] = field(default_factory=Counter)
     unchecked: dict[str, None] = field(default_factory=dict)
     next_index: int = 0
-    end: End = End.OPEN
+    end: RunEnd = RunEnd.OPEN
 
     def __post_init__(self) -> None:
         self.next_index = self.next_index or self.first
 
     @property
     def examined(self) -> int:
-        """How many candidates count."""
+        """Return how many candidates count."""
         return (self.next_index - self.first) // self.step
 
     @property
@@ -73,12 +73,12 @@ class Ledger:
 
     @property
     def rate(self) -> float:
-        """Which share of those that count is accepted."""
+        """Return which share of those that count is accepted."""
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
         """Count on as far as candidates are known, or the run ends."""
-        while self.end is End.OPEN and self.next_index in self.known:
+        while self.end is RunEnd.OPEN and self.next_index in self.known:
             place = self.known[self.next_index]
             candidate = reader.candidate(place)
             self.next_index += self.step
@@ -88,11 +88,11 @@ class Ledger:
                 settled(candidate)
             self.totals.update({reason.code for reason in candidate.reasons})
             self.end = self._end()
-        if self.end is End.OPEN and self._is_beyond(self.next_index):
-            self.end = End.EXHAUSTED
+        if self.end is RunEnd.OPEN and self._is_beyond(self.next_index):
+            self.end = RunEnd.EXHAUSTED
 
-    def counted(self) -> Iterator[Place]:
-        """Where the candidates that count stand, in order."""
+    def counted(self) -> Iterator[LogEntry]:
+        """Return where the candidates that count stand, in order."""
         return (self.known[k] for k in self.indices())
 
     def indices(self) -> range:
@@ -110,12 +110,12 @@ class Ledger:
     def _is_beyond(self, index: int) -> bool:
         return self.most is not None and index > self.most
 
-    def _end(self) -> End:
+    def _end(self) -> RunEnd:
         if len(self.accepted) == self.wanted:
-            return End.COMPLETE
+            return RunEnd.COMPLETE
         if self.examined >= PATIENCE and len(self.accepted) < LEAST_RATE * self.examined:
-            return End.HOPELESS
-        return End.EXHAUSTED if self._is_beyond(self.next_index) else End.OPEN
+            return RunEnd.HOPELESS
+        return RunEnd.EXHAUSTED if self._is_beyond(self.next_index) else RunEnd.OPEN
 
 
 AHEAD = 32
@@ -129,8 +129,8 @@ Heard = Callable[[Ledger], None]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What is to be made: ``wanted`` cousins in ``out``; ``about`` says of what, and is the same for the same bytes.
+class RunPlan:
+    """The aim of a run: ``wanted`` cousins in ``out``; equal ``about`` gives equal bytes.
 
     ``shard`` (i, n), i from 1, examines every n-th candidate from the i-th on, and writes no cousins. ``most`` is how
     many candidates there are, None without end; ``variants`` what came of each object that varies.
@@ -151,7 +151,7 @@ class Plan:
         return Ledger(-(-self.wanted // step), first, step, self.most)
 
 
-def begin(plan: Plan) -> None:
+def begin(plan: RunPlan) -> None:
     """Make the folder of a run, or see that the one that is there is of the same; raises :class:`OutputError`."""
     path = plan.out / WORK / "run.json"
     if path.is_file():
@@ -177,7 +177,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise OutputError(f"{path} is damaged; remove it, and the run goes on from its logs") from None
 
 
-def run(plan: Plan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
+def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
     """Examine candidates until the plan is met or cannot be; what the logs know already is not examined again."""
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
@@ -189,7 +189,7 @@ def run(plan: Plan, pool: Callable[[], CandidatePool], heard: Heard = lambda led
         settled = _nothing if plan.shard is not None else lambda candidate: write_documents(plan.out, candidate)
         ledger.advance(reader, settled)
         heard(ledger)
-        if ledger.end is not End.OPEN:
+        if ledger.end is not RunEnd.OPEN:
             _see_no_more(plan, ledger)
             return ledger
         with closing(pool()) as workers:
@@ -207,7 +207,7 @@ def _clear_half_written(out: Path) -> None:
             left.unlink(missing_ok=True)
 
 
-def _see_no_more(plan: Plan, ledger: Ledger) -> None:
+def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
     """Raise :class:`OutputError` where cousins of a longer run would be left over."""
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
@@ -221,7 +221,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
     """Candidates that were not known, as they are done; the pool is kept busy until the ledger is at its end."""
     todo, running = ledger.unknown(), 0
     index = next(todo, None)
-    while ledger.end is End.OPEN:
+    while ledger.end is RunEnd.OPEN:
         while index is not None and running < 2 * pool.size and _is_near(index, ledger, pool):
             pool.submit(index)
             running += 1
@@ -231,7 +231,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def _is_near(index: int, ledger: Ledger, pool: CandidatePool) -> bool:
-    """Whether a candidate is not too far ahead of those that count, so that memory and work in vain stay bounded."""
+    """Return whether a candidate is near enough to those that count, so that memory and vain work stay bounded."""
     return index - ledger.next_index < AHEAD * ledger.step * pool.size
 
 
@@ -247,6 +247,6 @@ def write_documents(out: Path, candidate: Candidate) -> None:
             write_atomically(path, data)
 
 
-def finish(plan: Plan, ledger: Ledger) -> None:
+def finish(plan: RunPlan, ledger: Ledger) -> None:
     """Leave one log, of the candidates that count and nothing else, in their order."""
     ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

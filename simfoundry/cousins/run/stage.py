@@ -14,7 +14,7 @@ from simfoundry.backends.artifact import number
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import Recipe
 from simfoundry.cousins.run.log import Reader
-from simfoundry.cousins.run.run import Ledger, Plan
+from simfoundry.cousins.run.run import Ledger, RunPlan
 from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import writing_atomically
@@ -50,7 +50,7 @@ def Xform "World" (
 Objects = Mapping[str, Mapping[str, Any]]
 
 
-def write_stage(plan: Plan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
+def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
     """Write the stage of a run's cousins; raises :class:`OutputError` where they have no scenes of their own."""
     if path.suffix != ".usda":
         raise OutputError(f"a stage is written as text: call it {path.with_suffix('.usda').name}")
@@ -75,7 +75,7 @@ def write_stage(plan: Plan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """What each cousin says of its objects."""
+    """Yield what each cousin says of its objects."""
     with Reader() as reader:
         for place in ledger.counted():
             candidate = reader.candidate(place) if place.accepted else Candidate(0)
@@ -87,7 +87,7 @@ def _variant(asset: str) -> str:
     return Path(asset).name.split(".")[0]
 
 
-def _whole(plan: Plan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
+def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
     """The twin's scene, lowered, with everything that cousins add, and what they put in another's place as variants."""
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.recipe.overlay import relative

@@ -31,7 +31,7 @@ BROAD = 0.1
 
 
 @dataclass(frozen=True)
-class Step:
+class IdeaStep:
     """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
 
     name: str
@@ -49,12 +49,12 @@ class Idea:
 
     name: str
     goal: tuple[Any, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[IdeaStep, ...]
     odd: int = 0
 
     @property
     def things(self) -> tuple[str, ...]:
-        """What is carried."""
+        """Return what is carried."""
         return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
 
     @property
@@ -65,7 +65,7 @@ class Idea:
 
 @dataclass(frozen=True)
 class Affordances:
-    """What is there: things that a hand can take, what has a cavity, what has a level top, and what opens.
+    """Objects by what they afford: those a hand can take, those with a cavity or a level top, and joints that open.
 
     ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are the
     supports that have a cavity under their top, as a cabinet: on top of them is not in them.
@@ -79,7 +79,7 @@ class Affordances:
 
     @classmethod
     def of(cls, setting: TaskContext) -> Affordances:
-        """What the things of a scene afford, measured on their colliders."""
+        """Return what the things of a scene afford, measured on their colliders."""
         objects = setting.twin.scene.objects
         names = [
             o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
@@ -101,7 +101,7 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
+    """Return whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -112,7 +112,7 @@ def _hollow(setting: TaskContext, name: str) -> bool:
 
 
 def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
-    """Whether it has a level top or floor, and is as broad as a thing that others are put on."""
+    """Return whether it has a level top or floor, and is as broad as a thing that others are put on."""
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
@@ -141,7 +141,7 @@ def _is_broad(level: Support) -> bool:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Whether the highest level of an object is a top rather than a floor: it is in its upper half."""
+    """Return whether the highest level of an object is a top rather than a floor: it is in its upper half."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
@@ -176,7 +176,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Whether a joint moves the part that is named, or a part of the whole that is."""
+    """Return whether a joint moves the part that is named, or a part of the whole that is."""
     owner, _, part = target.partition(".")
     if joint.partition(".")[0] != owner:
         return False
@@ -218,7 +218,7 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Whether things are no broader than what they go into or onto; a first look, not a proof."""
+    """Return whether things are no broader than what they go into or onto; a first look, not a proof."""
     low, high = setting.bounds(target)
     room = np.sort((high - low)[:2])
     if len(things) == 1:
@@ -234,24 +234,24 @@ def _need(setting: TaskContext, thing: str) -> float:
     return float(np.prod(np.sort(high - low)[:2]))
 
 
-def _step(thing: str, word: str, target: str) -> Step:
+def _step(thing: str, word: str, target: str) -> IdeaStep:
     side = "in" if word == "Inside" else "on"
     said = f"{'inside' if word == 'Inside' else 'on'} the {_said(target)}"
-    return Step(
+    return IdeaStep(
         f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
     )
 
 
-def _on_top(thing: str, target: str) -> Step:
+def _on_top(thing: str, target: str) -> IdeaStep:
     """On a thing that has a cavity under its top, and not in it."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
-    return Step(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
+    return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
 
 
-def _moved(joint: str, word: str) -> Step:
+def _moved(joint: str, word: str) -> IdeaStep:
     verb = "open" if word == "Open" else "close"
-    return Step(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
+    return IdeaStep(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
 
 
 WORDS = {
@@ -261,7 +261,7 @@ WORDS = {
 """How a predicate is said of a thing that is put somewhere."""
 
 
-def step_of(call: Call) -> Step:
+def step_of(call: Call) -> IdeaStep:
     """The step that brings a predicate about."""
     thing = call.args[0]
     if call.predicate in ("Inside", "OnTop"):
@@ -272,9 +272,11 @@ def step_of(call: Call) -> Step:
         [_short(thing), call.predicate.lower(), *(_short(a) for a in call.args[1:2] if call.kinds[1] == "thing")]
     )
     if call.predicate in WORDS:
-        return Step(name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing)
+        return IdeaStep(
+            name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing
+        )
     verb = {"Lifted": "lift", "Grasped": "take", "Upright": "stand up"}.get(call.predicate, "move")
-    return Step(name, str(call), f"{verb} the {_said(thing)}", thing)
+    return IdeaStep(name, str(call), f"{verb} the {_said(thing)}", thing)
 
 
 def _short(name: str) -> str:

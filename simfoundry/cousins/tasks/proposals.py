@@ -54,14 +54,14 @@ def propose_tasks(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """What a model proposes for a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
+    """Ask a model for tasks in a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
 
     ``include`` are objects that each task should be about, ``exclude`` those that none may. Raises ``VlmError`` where
     the model gives no answer.
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
-    told = vlm.ask(asked, [picture], Answer).tasks if form == "typed" else read(vlm.ask_text(asked, [picture]))
+    told = vlm.ask(asked, [picture], ProposalsAnswer).tasks if form == "typed" else read(vlm.ask_text(asked, [picture]))
     return judged(told, setting, f"proposed by {vlm.name}", scene, exclude)
 
 
@@ -173,7 +173,7 @@ _MARK = re.compile(r"^\s*-{3,}[^\n]*$|^\s*```[^\n]*$", re.MULTILINE)
 """Between tasks: `--- Task 2`; and the fences that models like to put around YAML."""
 
 
-class Asked(BaseModel):
+class AskedTask(BaseModel):
     """A predicate of a goal: a state of a group, or of a group and another."""
 
     model_config = ConfigDict(extra="ignore")
@@ -192,14 +192,14 @@ class Told(BaseModel):
 
     task_name: str = Field(min_length=1, max_length=100, description="Short snake_case name.")
     instruction: str = Field("", max_length=400, description="What the robot is told, in plain words.")
-    goal_predicates_all: list[Asked] = Field([], max_length=16, description="All must be true for success.")
-    goal_predicates_any: list[Asked] | None = Field(None, max_length=16, description="Any suffices; else null.")
+    goal_predicates_all: list[AskedTask] = Field([], max_length=16, description="All must be true for success.")
+    goal_predicates_any: list[AskedTask] | None = Field(None, max_length=16, description="Any suffices; else null.")
     semantic_group_mapping: dict[str, list[str]] = Field(
         {}, max_length=32, description="Only where groups are not the objects' own names."
     )
 
 
-class Answer(BaseModel):
+class ProposalsAnswer(BaseModel):
     """The proposed tasks."""
 
     tasks: list[Told] = Field(max_length=MOST_TASKS)
@@ -253,7 +253,7 @@ def goal_of(told: Told) -> tuple[Any, str]:
     return {"all": tuple(terms)}, wrong
 
 
-def _term(asked: Asked, names: dict[str, str]) -> Any:
+def _term(asked: AskedTask, names: dict[str, str]) -> Any:
     groups = [asked.group, *([asked.other_group] if asked.other_group else [])]
     text = f"{asked.state}({', '.join(names.get(group, group) for group in groups)})"
     return text if asked.value else {"not": text}
@@ -272,7 +272,9 @@ class TaskCousin:
     engines: tuple[str, ...] = ("mujoco",)
 
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
-        """Why it is no task in a scene as it stands: done already, or its things out of reach; empty where it is one.
+        """Return why it is no task in a scene as it stands: done already, or its things out of reach.
+
+        Empty where it is one.
 
         That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
         them is among the ``others``, which are not the twin's.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.geometry.crossings import Solid, Span, bounds, crossings
+from simfoundry.geometry.crossings import HalfSpaces, Span, bounds, crossings
 from simfoundry.geometry.frames import Array, Pose
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _tilted(tilt: float, angle: float) -> Array:
     return np.array([math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), -math.cos(tilt)])
 
 
-def rotations(shape: Solid, approach: Array) -> Iterator[Array]:
+def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
     """Rotations of the hand whose z is ``approach``, with closing directions y all around.
 
     They start from the direction in which the shape is longest, seen along the approach: what is long is taken across.
@@ -89,7 +89,7 @@ def rotations(shape: Solid, approach: Array) -> Iterator[Array]:
         yield np.column_stack([np.cross(y, approach), y, approach])
 
 
-def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
     """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
     found: list[Grasp] = []
     for approach in approaches:
@@ -100,7 +100,7 @@ def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> 
     return sorted(both, key=lambda g: g.cost)[:MOST]
 
 
-def _along(shape: Solid, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
+def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
     """Grasps with the hand turned by R_WH."""
     low, high = bounds(shape, R_WH)
     across = _grid(low[0], high[0], ACROSS, SPACING)

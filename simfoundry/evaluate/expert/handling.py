@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path
 from simfoundry.evaluate.expert.places import PlaceAt
-from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.object_shapes import solid
 from simfoundry.worlds.footing import center_of_mass
@@ -61,7 +61,7 @@ class PutPlan:
     open: float
 
 
-def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
+def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
     """Take a thing up, so that it can go to one of ``places`` afterwards."""
     worker.sync()
     plan = plan_pick(worker, robot, name, places)
@@ -84,8 +84,8 @@ def firmly(planner: ArmPlanner, width: float) -> float:
     return min(1.0, planner.jaws.at_width(width)[0] + SQUEEZE)
 
 
-def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
-    """The first grasp that the arm can planner, lift and bring to a place; None where there is none."""
+def plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
+    """The first grasp that the arm can reach, lift and bring to a place; None where there is none."""
     planner = worker.planners[robot]
     state = worker.now.state
     item = worker.scene.object(name)
@@ -115,7 +115,7 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
 
 
 def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
-    """Whether the hand alone has room to come, and to close."""
+    """Return whether the hand alone has room to come, and to close."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, grasp.open)
     if cell.hand_clash(robot, grasp.X_WH, gap=0.001):
@@ -157,7 +157,7 @@ def _reached(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> PickPlan
 
 
 def _can_put(planner: ArmPlanner, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
-    """Whether the hand can be where it lets a thing go, and just above."""
+    """Return whether the hand can be where it lets a thing go, and just above."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
     posture = planner.arm.solve_any(X_WH, q, planner.rng)
     if posture is None:
@@ -172,8 +172,8 @@ def _over(pose: Pose, height: float) -> Pose:
     return Pose.of(pose.p + np.array([0.0, 0.0, height]), pose.q)
 
 
-def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
-    """Put down what the hand holds, at the first of ``places`` that it can planner."""
+def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
+    """Put down what the hand holds, at the first of ``places`` that it can reach."""
     held = worker.held[robot]
     worker.sync()
     plan = plan_put(worker, robot, places)
@@ -189,7 +189,7 @@ def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
     yield from worker.wait(0.4)
 
 
-def corrected(worker: Worker, robot: str, plan: PutPlan) -> Path:
+def corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
     """The way down to a place with the thing as it lies in the hand now, which may have slipped on the way."""
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
@@ -198,7 +198,7 @@ def corrected(worker: Worker, robot: str, plan: PutPlan) -> Path:
     return planner.line(worker.q[robot], goal, share, held) or plan.down
 
 
-def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
+def plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
     """The first place that the arm can bring what it holds to, let go and leave; None where there is none."""
     planner = worker.planners[robot]
     reading = worker.now.robots[robot]

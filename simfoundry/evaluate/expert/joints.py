@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
 from simfoundry.evaluate.expert.motion import ArmPlanner, Path
-from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.fingers import Jaws
 from simfoundry.scene.kinematics import link_poses
@@ -49,7 +49,7 @@ class LeadPlan:
 
 @dataclass(frozen=True, eq=False)
 class _Leading:
-    """What is led: a joint of an item in a state, from ``now`` to ``goal`` [rad or m]."""
+    """A joint of an item to be led in a state, from ``now`` to ``goal`` [rad or m]."""
 
     item: SceneObject
     state: SceneState
@@ -67,14 +67,14 @@ def joint_of(item: SceneObject, name: str) -> Joint:
 
 
 def ends(joint: Joint) -> tuple[float, float]:
-    """Where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
+    """Return where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
     if joint.limits is None:
         raise FailedError(f"joint {joint.name} has no end, so it neither opens nor closes")
     low, high = joint.limits
     return (low, high) if abs(low) <= abs(high) else (high, low)
 
 
-def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
+def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script:
     """Open or close a joint by its handle."""
     owner, _, name = target.partition(".")
     item = worker.scene.object(owner)
@@ -98,7 +98,7 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
     yield from worker.wait(0.3)
 
 
-def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
+def plan_lead(worker: ExpertWorker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
     """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
     planner, state = worker.planners[robot], worker.now.state
     leading = _Leading(item, state, joint, state.joints[f"{item.name}.{joint.name}"], goal)
@@ -176,7 +176,7 @@ def _along(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Pa
 
 
 def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:
-    """How what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
+    """Return how what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
     here = object_at(item, state)
     X_OC = link_poses(here, {**state.of_object(item), joint.name: now})[joint.child]
     X_OD = link_poses(here, {**state.of_object(item), joint.name: then})[joint.child]

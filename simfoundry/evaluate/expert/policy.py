@@ -13,7 +13,7 @@ import numpy as np
 from simfoundry.evaluate.expert.handling import pick, put
 from simfoundry.evaluate.expert.joints import lead
 from simfoundry.evaluate.expert.places import PlaceAt, places
-from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Array
@@ -23,7 +23,7 @@ from simfoundry.spec.models.expressions import Call, Condition, parse_call, part
 
 
 class Skill(StrEnum):
-    """What hands can do."""
+    """The skills of hands."""
 
     PICK = "pick"
     PUT_ON = "put on"
@@ -47,7 +47,7 @@ PUTS = (Skill.PUT_ON, Skill.PUT_IN)
 
 
 @dataclass(frozen=True)
-class Step:
+class ExpertStep:
     """One thing to do: ``skill`` with the arguments of the predicate ``until`` that it is to bring about."""
 
     skill: Skill
@@ -55,7 +55,7 @@ class Step:
     until: str
 
 
-class Asked(Protocol):
+class HasGoal(Protocol):
     """A sub-task, as far as it says what is asked."""
 
     @property
@@ -64,31 +64,31 @@ class Asked(Protocol):
         ...
 
 
-def steps(goal: Condition, subtasks: Mapping[str, Asked]) -> tuple[Step, ...]:
-    """What to do, in order: for each sub-task, and then for what the goal asks beyond them."""
+def steps(goal: Condition, subtasks: Mapping[str, HasGoal]) -> tuple[ExpertStep, ...]:
+    """Return what to do, in order: for each sub-task, and then for what the goal asks beyond them."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
 
 
-def goal_steps(goal: Condition) -> tuple[Step, ...]:
-    """What the goal itself asks for."""
+def goal_steps(goal: Condition) -> tuple[ExpertStep, ...]:
+    """Return what the goal itself asks for."""
     found = tuple(_of(goal))
     return tuple(step for step in found if not _leads_to(step, list(found)))
 
 
-def _leads_to(step: Step, later: list[Step]) -> bool:
-    """Whether a later step takes the thing up itself."""
+def _leads_to(step: ExpertStep, later: list[ExpertStep]) -> bool:
+    """Return whether a later step takes the thing up itself."""
     return step.skill is Skill.PICK and any(s.skill in PUTS and s.args[0] == step.args[0] for s in later)
 
 
-def _of(condition: Condition) -> Iterator[Step]:
+def _of(condition: Condition) -> Iterator[ExpertStep]:
     kind, below = parts(condition)
     if kind == "text":
         call: Call = parse_call(str(condition))
         skill = SKILLS.get(call.predicate)
         if skill is not None:
-            yield Step(skill, call.args, str(call))
+            yield ExpertStep(skill, call.args, str(call))
     elif kind == "all":
         for item in below:
             yield from _of(item)
@@ -106,25 +106,25 @@ PAUSE = 1.0
 """How long it waits after a failure before it looks again [s]."""
 
 
-class Expert:
+class ExpertPolicy:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
 
     def __init__(self, task: Task, judge: Judge | None = None) -> None:
         need_extra("expert", "the scripted expert")
         self._task = task
         self._judge = judge or Judge(task.scene)
-        self._worker = Worker(task.scene, task.robots, task.control_hz)
+        self._worker = ExpertWorker(task.scene, task.robots, task.control_hz)
         self._script: Script | None = None
         self.log: list[str] = []
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Return what reports call it."""
         return "expert"
 
     @property
     def action_space(self) -> ActionSpace:
-        """What the arm's numbers mean."""
+        """Return what the arm's numbers mean."""
         return ActionSpace.JOINT_POSITION
 
     @property
@@ -162,7 +162,7 @@ class Expert:
         while True:
             yield
 
-    def _achieve(self, step: Step) -> Script:
+    def _achieve(self, step: ExpertStep) -> Script:
         for _ in range(ATTEMPTS):
             if self._judge(step.until, self._worker.now.state).value:
                 return
@@ -173,7 +173,7 @@ class Expert:
                 yield from self._recover()
         self.log.append(f"{step.until}: given up")
 
-    def _do(self, step: Step) -> Script:
+    def _do(self, step: ExpertStep) -> Script:
         worker = self._worker
         robot = self._task.robots[0]
         match step.skill:
@@ -191,7 +191,7 @@ class Expert:
                     yield from pick(worker, robot, thing, found)
                 yield from put(worker, robot, found)
 
-    def _good(self, step: Step, found: list[PlaceAt]) -> list[PlaceAt]:
+    def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
         """The places at which the step would be done."""
         state, thing = self._worker.now.state, step.args[0]
         apart = replace(state, robots=MappingProxyType({}), speeds=MappingProxyType({}))

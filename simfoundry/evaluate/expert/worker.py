@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
-from simfoundry.evaluate.expert.motion import ArmPlanner, Cell, Held, Path
+from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path, PlanningScene
 from simfoundry.evaluate.policies.base import Observation
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm
@@ -81,12 +81,12 @@ class FailedError(Exception):
     """A skill came to nothing; the message says why."""
 
 
-class Worker:
+class ExpertWorker:
     """The arms of a task's robots, their commands and the latest observation."""
 
     def __init__(self, scene: Scene, robots: Sequence[str], hz: float) -> None:
         self.scene, self.hz = scene, hz
-        self.cell = Cell(scene)
+        self.cell = PlanningScene(scene)
         self.arms = {name: Arm(scene.robot(name)) for name in robots}
         self._robots = tuple(robots)
         self.seen: Observation | None = None

@@ -1,4 +1,4 @@
-"""What every policy offers, and what it is shown."""
+"""The interface of policies, and their observations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Image = NDArray[np.uint8]
 
 
 class ActionSpace(StrEnum):
-    """What the numbers of an action mean; it is not on the wire of any protocol, so a policy's spec says it."""
+    """Meaning of the numbers of an action; no protocol transmits it, so a policy's spec says it."""
 
     JOINT_POSITION = "joint_position"
     JOINT_VELOCITY = "joint_velocity"
@@ -48,7 +48,7 @@ class RobotReading:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a policy is shown when it is asked for actions.
+    """The input of a policy that is asked for actions.
 
     ``time`` [s] since the start; ``robots`` those that act, in the task's order; ``images`` by the scene's cameras,
     those that the policy asked for; ``state`` the truth, for policies that may cheat, as the scripted expert.
@@ -70,12 +70,12 @@ class Policy(Protocol):
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """The name in reports."""
         ...
 
     @property
     def action_space(self) -> ActionSpace:
-        """What the arm's numbers mean."""
+        """The meaning of the arm's numbers."""
         ...
 
     @property

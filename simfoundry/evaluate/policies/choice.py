@@ -1,4 +1,4 @@
-"""Which policy a person means: a word, a server, a document, a recording, a Python class."""
+"""Policies as users name them: a word, a server, a document, a recording, a Python class."""
 
 from __future__ import annotations
 

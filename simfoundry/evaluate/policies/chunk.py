@@ -1,4 +1,4 @@
-"""What a server answered, as actions: checked, since it comes from elsewhere, and in our units."""
+"""Answers of servers as actions: checked, since they come from elsewhere, and converted to our units."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]
 
 
 def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
-    """How far closed, 0 to 1, of what the policy says, shape (n,)."""
+    """Convert the policy's gripper numbers to 0 open to 1 closed, shape (n,)."""
     convention = spec.gripper
     closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
     return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)

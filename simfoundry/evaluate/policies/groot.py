@@ -16,7 +16,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
-"""What servers call the robot's senses, and what these are in a policy document; ``eef_9d`` is made apart."""
+"""Names of servers for the robot's state, and ours of a policy document; ``eef_9d`` is made apart."""
 ACTION = ("joint_position", "gripper_position")
 """The parts of an answer that are carried out."""
 
@@ -69,7 +69,7 @@ class GrootPolicy(RemotePolicy):
         self._requests.close()
 
     def _depth(self) -> int:
-        """How many moments are remembered, the present one included."""
+        """The number of moments that are remembered, the present one included."""
         steps = (*self._takes["video"].steps, *self._takes["state"].steps)
         return 1 + max(-step // self.spec.horizon for step in steps)
 
@@ -86,7 +86,7 @@ class GrootPolicy(RemotePolicy):
         return {"video": {k: images[k] for k in self._takes["video"].keys}, "state": senses}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
-        """What was seen at the steps that the server asks for, the first before the beginning; shape (1, T, ...)."""
+        """The values at the steps that the server asks for, the first repeated before it; shape (1, T, ...)."""
         last = len(self._past) - 1
         moments = [max(0, last + step // self.spec.horizon) for step in self._takes[kind].steps]
         return np.stack([np.asarray(self._past[k][kind][key], dtype=number) for k in moments])[None]

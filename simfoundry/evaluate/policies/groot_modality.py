@@ -1,4 +1,4 @@
-"""What a server of GR00T takes and gives, as it says itself."""
+"""The modality configuration of a GR00T server: the keys it takes and gives."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} le
 
 
 def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:
-    """What answers for a checkpoint, a folder or a name on the Hub, and what it takes, by its own names.
+    """Load a checkpoint, a folder or a name on the Hub: the function that answers, and the features it takes and gives.
 
     Raises :class:`PolicyError` where LeRobot is absent or the checkpoint is none. Not seeded: a policy that draws
     random numbers answers each question with new ones.

@@ -11,7 +11,7 @@ from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
-"""What the policies of DROID are told of the robot."""
+"""State keys of the policies of DROID."""
 
 
 class OpenpiPolicy(RemotePolicy):

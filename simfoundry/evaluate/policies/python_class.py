@@ -95,7 +95,7 @@ class PythonPolicy:
                 self._reset(instruction, seed)
 
     def infer(self, observation: Observation) -> Array:
-        """What the class answers."""
+        """Return the answer of the class."""
         assert self._infer is not None
         with self._answering():
             return self._infer(observation)

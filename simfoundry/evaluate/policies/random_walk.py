@@ -11,7 +11,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observatio
 from simfoundry.geometry.frames import Array
 
 STEP = 0.1
-"""How far a joint may move from where it is asked to be in one step, either way [rad or m]."""
+"""Largest move of a joint in one step, either way [rad or m]: 1.5 rad/s at 15 Hz."""
 HORIZON = 8
 """Steps until it is asked again, as the policies of the paper."""
 

@@ -1,4 +1,4 @@
-"""What happened between a policy and its server, for reports."""
+"""Statistics of the exchange between a policy and its server, for reports."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 KEPT = 100
-"""How many errors are kept in words; of more, only the number."""
+"""Largest number of errors that are kept in words; of more, only the number: a report lists no hundred pages."""
 
 
 @dataclass
 class PolicyRecord:
-    """What a policy was asked, how long it took and what went wrong; it grows from rollout to rollout.
+    """Counts, times and errors of the questions to a policy; they grow from rollout to rollout.
 
     ``seconds`` are the times [s] from each question to its answer, reconnections and repeated questions included.
     """

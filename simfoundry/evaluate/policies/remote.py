@@ -1,4 +1,4 @@
-"""What the policies behind servers share: what they are called, what they see and how they end."""
+"""The base of policies behind servers: name, cameras, checks of answers."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class RemotePolicy:
 
     @property
     def name(self) -> str:
-        """What its document calls it."""
+        """The name in its document."""
         return self.spec.name
 
     @property
     def action_space(self) -> ActionSpace:
-        """What its document says, for its protocol does not."""
+        """The action space of its document."""
         return ActionSpace(self.spec.action_space)
 
     @property
@@ -60,7 +60,7 @@ class RemotePolicy:
         raise NotImplementedError
 
     def ask(self, observation: Observation) -> object:
-        """What the server answers in place of an array of actions, shape (steps, numbers of an action)."""
+        """Return the server's answer, which should be an array of actions, shape (steps, numbers of an action)."""
         raise NotImplementedError
 
     def close(self) -> None:

@@ -19,9 +19,9 @@ from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 RESET_DONE = "reset successful"
-"""What a server says, in a text, once it has forgotten the rollout before."""
+"""The text with which a server confirms that it has forgotten the rollout before."""
 ROBOARENA_STATE = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
-"""What the policies of RoboArena are told of the robot."""
+"""State keys of the policies of RoboArena."""
 
 
 def _session() -> str:
@@ -65,7 +65,7 @@ class RoboarenaPolicy(RemotePolicy):
 
 
 def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
-    """What a server wants and the document does not give, in words."""
+    """Differences between the server's configuration and the document, a sentence each."""
     space = wishes.get("action_space")
     if isinstance(space, str) and space != spec.action_space:
         yield f"it acts by `{space[:40]}`, the document says `action_space: {spec.action_space}`"

@@ -135,7 +135,7 @@ class Connection:
         self._greet()
 
     def _is_here(self) -> bool:
-        """Whether the server runs on this machine, to which no proxy leads."""
+        """True if the server runs on this machine, to which no proxy leads."""
         return urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")
 
     def _refused(self, error: Exception) -> PolicyError:
@@ -202,7 +202,7 @@ class Connection:
 
 
 def last_line(text: str, most: int = 300) -> str:
-    """What a traceback ends with, as one printable line."""
+    """The end of a traceback as one printable line."""
     lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
     line = lines[-1] if lines else "it does not say why"
     return "".join(c if c.isprintable() else "?" for c in line[:most])

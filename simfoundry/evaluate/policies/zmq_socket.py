@@ -19,7 +19,7 @@ from simfoundry.spec.models.policy import PolicySpec, address_uri
 LARGEST = 64 * 2**20
 """Bytes of the largest answer that is taken; ZeroMQ hangs up on a larger one."""
 PING_S = 5.0
-"""How long a server may take to say that it is there [s]."""
+"""Longest time [s] that a server may take to answer a ping."""
 
 
 class Requests:
@@ -162,5 +162,5 @@ class Requests:
 
 
 def _event(monitor: Any) -> int:
-    """What happened, by the number of its event: the first two bytes of a report."""
+    """The name of an event, by its number: the first two bytes of a report."""
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)

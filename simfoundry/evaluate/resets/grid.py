@@ -1,4 +1,4 @@
-"""Which cell of its grid each object starts in, and where in the cell: 5 x 5, without replacement, seeded."""
+"""Reset grid: a cell for each object, drawn without replacement, and a random position in it."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ SETTLING = SettleOptions(max_drift_m=0.01)
 """A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, its support stays the same."""
 
 OVERLAP = 1e-3
-"""How far [m] an object may overlap with what it stands on or in before it is settled."""
+"""Largest overlap [m] of an object with its support before it is settled: what settling undoes within a few steps."""
 
 AGREES = 1e-4
-"""How far [m] outside its cell a settled object may lie."""
+"""Largest distance [m] of a settled object from its cell: rounding, not sliding."""
 
 DIGITS = 5
 """Decimals of settled positions [m] and quaternions, so that another version of an engine settles to the same start."""
@@ -34,7 +34,7 @@ STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers.
+    """The reason why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers.
 
     ``other`` is the object that it met and that is put somewhere too, empty where there is none: only then can it help
     to give the two other cells, since each cell must be taken in some start.
@@ -47,7 +47,7 @@ class Refusal:
 
 
 Spots = Mapping[str, tuple[float, float, float]]
-"""Where objects are put: x, y [m] and turn about z [deg] on top of the scene's pose."""
+"""Positions of objects: x, y [m] and turn about z [deg] on top of the scene's pose."""
 
 
 def placed(task: Task, spots: Spots) -> SceneState:

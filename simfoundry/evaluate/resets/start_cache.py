@@ -37,7 +37,7 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
-    """What is known of a deal; None where that is nothing, or not to be read."""
+    """Read the stored part of a deal; None if there is none, or if it is damaged."""
     data = cache.get(key_of(key))
     if data is None:
         return None

@@ -21,7 +21,6 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.grid import GridCell, bounds, deal, draws, sample
 from simfoundry.evaluate.resets.placement import Refusal, Spots, clash, left_cell, placed, restless, settled
 from simfoundry.evaluate.resets.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
-from simfoundry.evaluate.rollouts.progress import judge_of
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
@@ -29,7 +28,7 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 TRIES, TRIES_ELSEWHERE = 20, 5
-"""How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""
+"""Tries to place objects in their cells, and tries for each combination after an exchange of cells."""
 
 HOPELESS = 6
 """So many tries that fail for another reason than two objects' cells being too close are enough."""
@@ -108,7 +107,7 @@ class _Block:
 
     @property
     def size(self) -> int:
-        """How many starts the deal is for."""
+        """The number of starts of the deal."""
         return max((len(cells) for cells in self.cells.values()), default=0)
 
     def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
@@ -188,7 +187,7 @@ class _Setting:
 
     def _opened(self) -> tuple[World, Judge]:
         if self._world is None or self._judge is None:
-            self._world, self._judge = open_world(self.task.scene, "mujoco"), judge_of(self.task.scene)
+            self._world, self._judge = open_world(self.task.scene, "mujoco"), Judge(self.task.scene)
         return self._world, self._judge
 
 
@@ -199,7 +198,7 @@ def _commonest(refusals: list[Refusal]) -> Refusal:
 
 
 def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, GridCell], refusals: list[Refusal]) -> str:
-    """Which object, which cell, and why, with the numbers of the commonest reasons."""
+    """Explain which object fits in which cell no more, with counts of the most frequent reasons."""
     blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)

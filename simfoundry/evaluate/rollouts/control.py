@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.worlds.robot import WorldRobot
 
 FARTHEST = 0.2
-"""How far ahead of a joint its target may run when velocities are integrated [rad or m]: DROID's largest step."""
+"""Largest distance of a target ahead of its joint when velocities are integrated [rad or m]: DROID's largest step."""
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:
@@ -26,12 +26,12 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
 
 
 def action_size(robots: Mapping[str, WorldRobot]) -> int:
-    """How many numbers an action has: for each robot its joints and its gripper."""
+    """The length of an action: for each robot its joints and its gripper."""
     return sum(len(robot.joints) + 1 for robot in robots.values())
 
 
 def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """What a policy answered as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
+    """A policy's answer as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
     size = action_size(robots)
     try:
         array = _numbers(actions)

@@ -1,4 +1,4 @@
-"""What a policy is shown: the robots' own senses, and pictures of the cameras that it asked for."""
+"""Observations of a policy: the robots' state, and pictures of the cameras that it asked for."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> No
 
 
 def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotReading]:
-    """What each robot senses now."""
+    """The present reading of each robot."""
     found = {}
     for name, robot in robots.items():
         positions = robot.positions()
@@ -40,5 +40,5 @@ def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotR
 
 
 def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]:
-    """What the cameras see now, each in its size."""
+    """Render the cameras, each in its size."""
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}

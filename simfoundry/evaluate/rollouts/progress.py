@@ -1,4 +1,4 @@
-"""Whether a task is done: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
+"""Progress of a task: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
 
 from __future__ import annotations
 
@@ -6,20 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge, StateBatch
-from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 
 HOLD = 3
 """So many control steps in a row (0.2 s at 15 Hz) a goal must be true: what only passes through has not arrived."""
 
 
-def judge_of(scene: Scene) -> Judge:
-    """The judge of a scene."""
-    return Judge(scene)
-
-
 class Progress:
-    """What of a task is done as its states go by.
+    """The progress of a task from state to state.
 
     A step is done at the first state in which its goal holds, and stays done; where it holds at the start already, as
     `Closed(drawer)` does before the drawer was opened, it must have been false in between. The whole is done once its

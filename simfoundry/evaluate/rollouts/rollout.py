@@ -16,7 +16,7 @@ from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerErr
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
 from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.rollouts.progress import Progress
 from simfoundry.evaluate.tasks.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
@@ -27,11 +27,11 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
 
 FALLEN = 0.3
-"""What is this far [m] below everything that the task began with has fallen off it."""
+"""Distance [m] below everything that the task began with at which an object has fallen off: below a table's height."""
 
 
 class RolloutEnd(StrEnum):
-    """Why a rollout ended."""
+    """The reason why a rollout ended."""
 
     SUCCESS = "success"
     HORIZON = "horizon"
@@ -45,7 +45,7 @@ class RolloutEnd(StrEnum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went [s]."""
+    """Times of the parts of a rollout [s]."""
 
     total: float
     physics: float
@@ -64,7 +64,7 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What came of a rollout.
+    """The result of a rollout.
 
     ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
     it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
@@ -109,7 +109,7 @@ def rollout(
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
     if video is not None:
         check_cameras(task.scene, video.cameras, "the video")
-    run = _Run(task, start, policy, world, judge or judge_of(task.scene), video)
+    run = _Run(task, start, policy, world, judge or Judge(task.scene), video)
     return run.result(*run.play())
 
 

@@ -20,7 +20,7 @@ BLOCK = 1000
 
 @dataclass(frozen=True)
 class RateAgreement:
-    """How simulation agrees with reality on one task, over the policies that both have been tried with.
+    """Agreement of simulation with reality on one task, over the policies that have been tried in both.
 
     ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None where one of the two does
     not vary. The intervals hold the middle share of what rates and policies drawn anew give, None with one policy.
@@ -38,7 +38,7 @@ class RateAgreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """How intervals are drawn: ``rollouts`` where nobody said how many a rate is of."""
+    """Options of the intervals: ``rollouts`` for rates that do not say how many they are of."""
 
     count: int = 2000
     rollouts: int = 25
@@ -77,7 +77,7 @@ def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
 
 
 def reservations(scores: Sequence[Score]) -> list[str]:
-    """What is to be known of rates that are not of all the rollouts that were asked for, a sentence each."""
+    """Warnings about rates that lack some of the planned rollouts, a sentence each."""
     said = []
     for s in scores:
         of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"

@@ -44,7 +44,7 @@ class EngineComparison:
 
     @property
     def disagrees(self) -> bool:
-        """Whether the engines differ by more than chance and rounding would make them."""
+        """True if the engines differ by more than chance and rounding explain."""
         return abs(self.first_done - self.second_done) > max(CHANCE, APART * self.pairs)
 
     @property

@@ -1,4 +1,4 @@
-"""How well simulation tells what happens in reality, and how sure a success rate is.
+"""Agreement of simulation with reality, and confidence intervals of success rates.
 
 Pearson's r and the mean maximum rank violation are those of the SimFoundry paper, appendix *Real-to-Sim Metrics*.
 """
@@ -79,7 +79,7 @@ def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something was done: ``done`` of ``of``."""
+    """A success rate: ``done`` of ``of`` rollouts."""
 
     done: int
     of: int

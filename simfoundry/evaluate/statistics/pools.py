@@ -17,7 +17,7 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """Which cousin a task is: its recipe, seed and index, and the ``axes`` along which it differs from its twin.
+    """The identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its twin.
 
     None for a task that no recipe made. The axes are read from its documents: what they say that the twin's do not.
     """
@@ -70,7 +70,7 @@ class RatePool:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether all tasks have as many rollouts, so that the stratified rate is the pooled one."""
+        """True if all tasks have equally many rollouts, so that the stratified rate is the pooled one."""
         return len({of for _, of in self.counts}) == 1
 
     @property

@@ -52,7 +52,7 @@ class RecordSlot:
         return self.path.with_suffix(".webm")
 
     def read(self) -> dict[str, Any] | None:
-        """What came of it, None where it is not done; raises :class:`OutputError` for a file that is none of ours."""
+        """Read the record, None if there is none; raises :class:`OutputError` for a file that is none of ours."""
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """Whether a record tells how well a policy did; where it did not answer, nothing is known of that."""
+    """True if a record has a result; a policy that did not answer has none."""
     return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 

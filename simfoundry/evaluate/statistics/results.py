@@ -21,7 +21,7 @@ from simfoundry.evaluate.statistics.records import is_result
 VERSION = "results/2"
 
 MANY = 12
-"""Of more tasks than this, as of a folder of cousins, tables show no steps: four rows each would fill no screen."""
+"""Largest number of tasks whose steps are shown in tables: four rows for each of a hundred cousins help nobody."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class ScoreRow:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What its records have in common, as :func:`cell_key` gives it."""
+        """The key that its records share, as :func:`cell_key` gives it."""
         return self.task, self.part, self.step, self.engine, self.policy
 
     @property
     def exceptions(self) -> str:
-        """How many rollouts failed by an invalid answer, and how many are missing; empty where none."""
+        """The counts of invalid answers and missing rollouts in words; empty if there are none."""
         invalid = f"{self.invalid} by an invalid answer" if self.invalid else ""
         return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
 

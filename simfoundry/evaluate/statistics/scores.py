@@ -26,7 +26,7 @@ class ScoresError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Score:
-    """How often a policy did a task: ``rate`` in [0, 1] of ``rollouts``, None where nobody said how many.
+    """The success of a policy on a task: ``rate`` in [0, 1] of ``rollouts``, None if their number is unknown.
 
     ``invalid`` of them failed by an answer that is no action; ``missing`` further ones have no result.
     """

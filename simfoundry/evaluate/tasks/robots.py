@@ -1,4 +1,4 @@
-"""What a robot's model must say before the robot can act in a rollout."""
+"""Checks that a robot's model has what a rollout needs: a hand and driven joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a task's scene is set up: what its `start`, and on top of it a step's, change in the document of the scene."""
+"""Scenes as tasks start: the `start` of a task, and on top of it that of a step, applied to the scene's document."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TaskSetup:
         return frozenset((*start.place, *start.pose)) if start is not None else frozenset()
 
     def starts(self) -> Iterator[tuple[tuple[str, ...], Start]]:
-        """What differs from the scene, the later on top of the earlier, each with its path in the task."""
+        """The differences from the scene, later ones on top of earlier ones, each with its path in the task."""
         yield ("start",), self.task_spec.start
         own = self.task_spec.subtasks[self.step].start if self.step else None
         if own is not None:
@@ -78,7 +78,7 @@ def started(setup: TaskSetup) -> SceneSpec:
 
 
 def carried_by(setup: TaskSetup) -> dict[str, str]:
-    """What each object stands on or in, where the documents say so."""
+    """The object that each object stands on or in, as far as the documents say so."""
     spec = started(setup)
     found = {}
     for text in spec.relations:
@@ -95,7 +95,7 @@ def _carrier(item: ObjectSpec) -> str:
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
-    """Whether a relation need no longer hold where so many objects stand elsewhere, or their joints do."""
+    """True if a relation may cease to hold when these objects, or their joints, are moved."""
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))

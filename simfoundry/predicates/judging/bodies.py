@@ -1,4 +1,4 @@
-"""What predicates measure on: the colliders of every link, prepared once, and the things that arguments name."""
+"""Bodies that predicates measure on: the colliders of every link, prepared once, and the arguments that name them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class CollisionBody:
 
 
 class Entity(NamedTuple):
-    """What an argument names: links of a body by index; the first is the one in whose frame it is boxed."""
+    """Links of a body, by index, that an argument names; the first is the one in whose frame it is boxed."""
 
     name: str
     owner: str
@@ -94,7 +94,7 @@ class Bodies:
         return tuple(self[name].item for name in (*self.objects, *self.robots))
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """What touches of each link of all bodies, by the name of the body and the index of the link."""
+        """The colliding shapes of each link of all bodies, by the name of the body and the index of the link."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in self.items

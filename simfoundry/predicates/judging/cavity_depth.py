@@ -1,4 +1,4 @@
-"""How deep a thing is in the cavity of another."""
+"""Depth of an object in the cavity of another."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 
 
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
-    """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
+    """Depth [m] of the share :data:`ENCLOSED` of ``a`` in a cavity of ``b`` that is not turned down, (n,).
 
     -inf where ``b`` is turned so that it holds nothing.
     """
@@ -50,7 +50,7 @@ def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
 
 
 def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
-    """How deep [m] the share :data:`ENCLOSED` of the volume of ``a`` is in a cavity at least, (n,).
+    """Least depth [m] of the share :data:`ENCLOSED` of the volume of ``a`` in a cavity, (n,).
 
     Negative by how far it is outside; where all of it is far outside, by a bound of that.
     """
@@ -81,7 +81,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """How many samples each link of a thing gets: by its mass."""
+    """The number of samples of each link, in proportion to its mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -91,7 +91,7 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """How far the way out of a cavity is from being turned down too far [m], (n,), measured on its depth."""
+    """Spare before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
     X_WB = view.link(owner, k)
     up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
     return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))

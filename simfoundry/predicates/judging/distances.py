@@ -1,4 +1,4 @@
-"""How far things are apart in many states: bounds for all of them, the exact distance where bounds do not tell."""
+"""Distances between objects in many states: bounds for all of them, exact ones where the bounds leave it open."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Distances:
         return np.asarray(out)
 
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
-        """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.
+        """Return the distance of ``a`` from ``b`` [m] and the cosine between up and the push of ``b``, (n,) each.
 
         The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
         part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is

@@ -23,7 +23,7 @@ CHUNK = 4096
 
 
 class Verdict(NamedTuple):
-    """Whether a condition holds; by how much, in the predicate's own unit, above 0 where it does; and why."""
+    """The value of a condition, its margin in the predicate's unit, positive if it holds, and the explanation."""
 
     value: bool
     margin: float
@@ -134,7 +134,7 @@ class _Judged(NamedTuple):
 
 
 class _Reasons(NamedTuple):
-    """Why several hold or not: those that ``decide`` if there are any, else all of them."""
+    """The explanations of several: of those that ``decide`` if there are any, else of all."""
 
     judged: list[_Judged]
     decide: bool

@@ -1,4 +1,4 @@
-"""What is over and under a thing: where the plumb line through its middle meets another."""
+"""Objects over and under another: the plumb line through its middle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.predicates.judging.view import View
 
 
 class Meeting(NamedTuple):
-    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
+    """Depths of the plumb lines of one thing in the parts of another over and under it [m], (n,) each.
 
     Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
     the end of the one on that line; negative where nothing is met.
@@ -26,7 +26,7 @@ class Meeting(NamedTuple):
 
 
 def meet(view: View, a: Entity, b: Entity) -> Meeting:
-    """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
+    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` meets outside of ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
     found = list(_chords_of(view, points, b))
@@ -48,7 +48,7 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
 
 
 def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
-    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
+    """The ends of plumb lines through points in the thing itself, over the points [m], (n,); 0 if they miss it."""
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
@@ -66,5 +66,5 @@ def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index
 
 
 def _beside(view: View, points: Array, b: Entity) -> Array:
-    """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
+    """Distance of points along the ground from the middle of the box around a thing [m], (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)

@@ -10,7 +10,7 @@ SETTLED = 0.01
 """Greatest speed [m/s] of what is at rest: the jitter of contacts in the simulators stays below it."""
 
 CLOSE = 0.0002
-"""What is farther than this [m] from an object supports it only if nothing else that is closer does: a plank over three
+"""Distance [m] from which an object supports another only if no closer one does: a plank over three
 blocks of which one is too low rests on two. Simulators let what rests sink in, and places leave 0.1 mm."""
 
 SUPPORT_DEG = 45.0

@@ -1,4 +1,4 @@
-"""Where the things of a scene are in many states: poses, boxes and spans, each computed once and when asked for."""
+"""Poses, boxes and spans of the bodies of a scene in many states, each computed once and when it is needed."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class View:
         return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
-        """Where a joint is [rad or m], (n,)."""
+        """The position of a joint [rad or m], (n,)."""
         given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
         at = given.get(f"{owner}.{joint.name}")
         return np.full(self.n, joint.position) if at is None else at
@@ -174,7 +174,7 @@ def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
 
 
 def over(points: Array, boxes: Boxes) -> Array:
-    """How far inside the outline of both boxes, seen from above, points lie [m], (n,); negative beside it.
+    """Distance of points from the edge of the outline of both boxes, seen from above [m], (n,); negative beside it.
 
     The outline of a box is a hexagon whose sides are those of its edges.
     """
@@ -192,7 +192,7 @@ def over(points: Array, boxes: Boxes) -> Array:
 
 
 def ground_gap(view: View, a: Entity, b: Entity) -> Array:
-    """How far two things are apart along the ground [m], (n,), negative where they overlap.
+    """Distance between two things along the ground [m], (n,), negative if they overlap.
 
     The widest gap across the edges of their boxes and along the line between their middles.
     """

@@ -70,7 +70,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
         return kind
     versions = [*steps, *KINDS]
-    message = f"`{kind}` is no version of a document" if kind is not None else f"the key `{KIND}` is missing"
+    message = f"`{kind}` is not a version of a document" if kind is not None else f"the key `{KIND}` is missing"
     hint = nearest(str(kind), versions) if kind is not None else "start the document with `simfoundry: scene/1`"
     raise SpecError([*document.duplicates, document.finding("SF006", (KIND,), message, hint)])
 

@@ -68,10 +68,10 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         carriers[joint.child] = name
     for link in spec.links if c.whole else ():
         if link != root and link not in parents:
-            c.add("SF206", ("links", link), f"no joint carries `{link}`", "add a joint with it as `child`")
+            c.add("SF206", ("links", link), f"`{link}` is not the child of any joint", "add a joint with it as `child`")
         elif link in set(_ancestors(link, parents)):
             place = ("joints", carriers[link], "parent")
-            c.add("SF206", place, f"`{link}` is carried by itself, through a ring of joints")
+            c.add("SF206", place, f"`{link}` is its own ancestor through a ring of joints")
         elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:
             message = f"`{link}` is at the end of a chain of more than {MAX_CHAIN} links"
             c.add(
@@ -89,7 +89,7 @@ def _mimics(c: Checker, spec: AssetSpec) -> None:
             continue
         kind = spec.joints[leader].type if leader in spec.joints else ""
         if kind in ("fixed", "ball", "free"):
-            c.add("SF211", path, f"`{leader}` is {kind}: there is no one position to follow")
+            c.add("SF211", path, f"`{leader}` is {kind}: it has no single position to follow")
         elif name == leader:
             c.add("SF211", path, f"`{name}` follows itself", "name another joint, or remove `mimic`")
         elif name in _ancestors(name, leaders):

@@ -67,7 +67,7 @@ class Checker:
 
     def reserved(self, path: Path_, what: str) -> None:
         """Reject the name that formats reserve for the static world."""
-        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF call what does not move so"
+        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF use this name for the static world"
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:

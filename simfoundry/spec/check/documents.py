@@ -26,7 +26,7 @@ def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> 
 
 def _conflicts(c: Checker, spec: DocumentSpec) -> None:
     for path, conflict in spec.conflicts.items():
-        message = f"`{path}` is left to decide: ours {_shown(conflict.ours)}, theirs {_shown(conflict.theirs)}"
+        message = f"`{path}` is an open conflict: ours {_shown(conflict.ours)}, theirs {_shown(conflict.theirs)}"
         c.add("SF209", ("conflicts", path), message, f"write the right value at `{path}`, then remove this entry")
 
 

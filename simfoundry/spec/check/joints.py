@@ -36,7 +36,7 @@ def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: P
 def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
     """Check that the pair at ``k`` of `no_contact` names two objects, once; add it to ``seen``."""
     if pair[0] == pair[1]:
-        c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two things")
+        c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
     elif frozenset(pair) in seen:
         c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is there already", "remove one")
     seen.add(frozenset(pair))
@@ -51,7 +51,7 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
         c.add("SF205", place, f"`{name}` follows `{joint.mimic.joint}`", hint)
     elif joint.type in ("ball", "free") and not isinstance(written, PoseSpec):
         hint = "give a rotation, as `{rpy_deg: [10, 0, 20]}`" if joint.type == "ball" else "give a pose"
-        c.add("SF103", place, f"`{name}` is {joint.type}: one number does not say where it is", hint)
+        c.add("SF103", place, f"`{name}` is {joint.type}: its position cannot be one number", hint)
     elif joint.type not in ("ball", "free") and isinstance(written, PoseSpec):
         c.add("SF103", place, f"`{name}` is {joint.type}: its position is one number, not a pose")
     elif joint.type == "ball" and isinstance(written, PoseSpec) and any(written.xyz):

@@ -58,7 +58,7 @@ class SceneNames:
             both = (
                 f"`{things[0]}` is given for both" if things[0] == things[1] else "one of these is a part of the other"
             )
-            message = f"`{call.predicate}` is about two things, and {both}"
+            message = f"`{call.predicate}` relates two objects, and {both}"
             c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
         for argument, kind in zip(call.args, call.kinds, strict=True):
             match kind:

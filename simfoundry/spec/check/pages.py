@@ -1,4 +1,4 @@
-"""Pages of the diagnostic codes: the meaning of each, how to mend it, wrong and right examples, as Markdown."""
+"""Pages of the diagnostic codes: the meaning of each, how to fix it, wrong and right examples, as Markdown."""
 
 from __future__ import annotations
 

@@ -69,10 +69,10 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
             c.reserved((section, WORLD), section.removesuffix("s"))
     for name in names.robots:
         if name in names.objects:
-            message = f"an object and a robot are called `{name}`, so it is not said which of the two is meant"
+            message = f"an object and a robot are called `{name}`, so references to it are ambiguous"
             c.add("SF213", ("robots", name), message, "rename one of them")
     if spec.viewpoint in names.robots and spec.viewpoint in c.names("cameras"):
-        message = f"a camera and a robot are called `{spec.viewpoint}`, so it is not said who sees left and right"
+        message = f"a camera and a robot are called `{spec.viewpoint}`, so left and right are ambiguous"
         c.add("SF213", ("viewpoint",), message, "rename one of them")
 
 

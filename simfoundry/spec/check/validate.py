@@ -75,7 +75,7 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
         findings += _new_members_first([_finding(model, document, e) for e in errors[:MAX_FINDINGS]], document)
         if len(errors) > MAX_FINDINGS:
             more = f"{len(errors) - MAX_FINDINGS} more errors are not shown"
-            findings.append(replace(findings[-1], message=more, hint="mend these first"))
+            findings.append(replace(findings[-1], message=more, hint="fix these first"))
         return None, findings
     return (None if findings else spec), findings
 

@@ -53,7 +53,7 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
         raise NewError(f"give a kind and a path, as `scene desk.scene.yaml`; the kinds are {', '.join(WORDS)}")
     if not before:
         if last in WORDS:
-            raise NewError(f"say how the {last} is called, as `new {last} desk` for {_file(last)}")
+            raise NewError(f"give the {last} a name, as `new {last} desk` for {_file(last)}")
         if by_name is None:
             raise NewError(f"`{last}` does not say its kind; end it with .scene.yaml, or say `new scene {last}`")
         return by_name, path
@@ -133,7 +133,7 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Pa
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
         if len(beside) != 1:
             found = "there are several" if beside else "there is none"
-            raise NewError(f"say with --from which scene it is about; {found} in {folder.resolve().name}/")
+            raise NewError(f"name the scene with --from; {found} in {folder.resolve().name}/")
         source = beside[0]
     loaded = load(source, root)
     if loaded.errors:
@@ -157,7 +157,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
     """Return the objects that can move."""
     free = {name: item for name, item in _scene(loaded).objects.items() if not item.fixed}
     if not free:
-        raise NewError(f"nothing in {loaded.path.name} can move: every object is fixed")
+        raise NewError(f"every object in {loaded.path.name} is fixed, so none can move")
     return free
 
 

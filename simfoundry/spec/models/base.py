@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 NAME = r"^[a-z][a-z0-9_]*$"
 PART_NAME = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$"
-CODE = "^SF[0-9]{3}$"
+CODE = "^[A-Z]{2,8}[0-9]{3}$"
 JOINT_NAME = "^[A-Za-z_][A-Za-z0-9_./-]*$"
 WIRE_KEY = "^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
 VARIABLE = "^[A-Z_][A-Z0-9_]*$"

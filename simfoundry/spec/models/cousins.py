@@ -118,7 +118,7 @@ class DistractorAxis(Model):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.count[0] > self.count[1]:
-            raise PydanticCustomError("sf104", "the fewest are more than the most", {"at": "count"})
+            raise PydanticCustomError("sf104", "the minimum is greater than the maximum", {"at": "count"})
         if self.library is None and not self.builtin_library:
             raise PydanticCustomError(
                 "sf107", "`builtin_library: false` needs a `library` beside it", {"at": "builtin_library"}

@@ -175,6 +175,6 @@ class PolicySpec(DocumentSpec):
             message = "`velocity_unit` has no effect on joint positions"
             raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "velocity_unit"})
         if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
-            message = f"a server of {self.protocol} says itself what it is told of the robot; remove `state`"
+            message = f"a server of {self.protocol} defines its own robot state; remove `state`"
             raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "state"})
         return self

@@ -77,7 +77,7 @@ class VariantSpec(BodySpec):
         exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         if not self.model_fields_set:
-            raise PydanticCustomError("sf107", "a variant says what differs, and this one says nothing")
+            raise PydanticCustomError("sf107", "a variant lists its differences, and this one has none")
         return self
 
 
@@ -116,7 +116,7 @@ class ObjectSpec(BodySpec):
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
-            message = "`default` is the object as it is written, so no variant can be called so"
+            message = "`default` is the object as it is written, so no variant may have that name"
             raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "variants"})
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})

@@ -98,7 +98,7 @@ def read(path: Path) -> Document:
         before = data[: error.start].decode("utf-8").splitlines(keepends=True) or [""]
         fresh = before[-1].endswith(("\n", "\r"))
         line, column = len(before) + fresh, 1 if fresh else len(before[-1]) + 1
-        message = f"the byte 0x{data[error.start]:02x} is no UTF-8 text"
+        message = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
         raise YamlError("SF001", message, line, column, "save the file as UTF-8") from None
     except OSError as error:
         if error.errno == errno.ELOOP:
@@ -129,13 +129,13 @@ def parse(text: str, file: str = "<text>") -> Document:
     if conflict:
         hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
         hint += f"`git checkout --merge -- {file}`"
-        raise YamlError("SF209", "here is a conflict that git left to decide", conflict, 1, hint)
+        raise YamlError("SF209", "git left a conflict here", conflict, 1, hint)
     odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
     if odd is not None:
         before = text[: odd.start()].splitlines(keepends=True)
         whole = not before or before[-1].endswith(("\n", "\r"))
         line, column = len(before) + whole, 1 if whole else len(before[-1]) + 1
-        message = f"the character U+{ord(odd.group()):04X} may not stand in a text"
+        message = f"the character U+{ord(odd.group()):04X} is not allowed in a text"
         raise YamlError("SF002", message, line, column, "remove it, or write it as an escape in double quotes")
     composer = Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -150,7 +150,7 @@ def parse(text: str, file: str = "<text>") -> Document:
 
 
 _SYNTAX = (
-    ("mapping values are not allowed", "a `:` may not stand here", "is a line indented too far, or quotes missing?"),
+    ("mapping values are not allowed", "a `:` is not allowed here", "is a line indented too far, or quotes missing?"),
     ("could not find expected ':'", "a `:` is missing", "a key is followed by a colon and a space"),
     ("expected <document start>", "the text does not continue here", "indent all keys of the document alike"),
     ("expected key", "a key should stand here", "indent it like the keys beside it"),
@@ -160,7 +160,7 @@ _SYNTAX = (
     ("expected node content", "a value should stand here", "is a bracket not closed, or a comma too many?"),
     ("unexpected end of stream", "these quotes are not closed", ""),
     ("unknown escape character", "this escape is not known", "in double quotes a backslash is written twice"),
-    ("tab character", "a tab may not stand here", "indent with spaces, not tabs"),
+    ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
 )
 """What the parser says, and what a person can do with."""
 
@@ -181,6 +181,6 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
     if "cannot start any token" in problem:
         found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
         if found == "\t":
-            return YamlError("SF002", "a tab may not stand here", line, column, "indent with spaces, not tabs")
+            return YamlError("SF002", "tabs are not allowed here", line, column, "indent with spaces, not tabs")
         return YamlError("SF002", f"a text may not start with `{found}`", line, column, "put it in double quotes")
     return YamlError("SF002", problem, line, column)
