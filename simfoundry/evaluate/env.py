@@ -23,9 +23,10 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
 from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.rollouts.progress import Progress
 from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
+from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import is_world, open_world, world_names
 from simfoundry.worlds.base import Image
@@ -177,7 +178,7 @@ class _Opened:
     def __init__(self, task: Task, engine: str) -> None:
         self.task = task
         self.world = open_world(task.scene, engine)
-        self.judge = judge_of(task.scene)
+        self.judge = Judge(task.scene)
         self.robots: dict[str, WorldRobot] = {name: self.world.robot(name) for name in task.robots}
         self._starts: tuple[RolloutStart, ...] = ()
 

@@ -296,12 +296,12 @@ class _Setting:
 @lru_cache(maxsize=1)
 def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
     """Kept for the next rollout of the same task."""
-    from simfoundry.evaluate.rollouts.progress import judge_of
+    from simfoundry.predicates import Judge
 
     cache = Cache.default()
     task = entry.load(cache)
     found = starts(task, rollouts, seed, cache)
-    return _Setting(task, found, open_world(task.scene, engine), judge_of(task.scene))
+    return _Setting(task, found, open_world(task.scene, engine), Judge(task.scene))
 
 
 _open: dict[tuple[TaskEntry | None, str], Policy] = {}

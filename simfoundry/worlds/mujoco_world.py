@@ -119,7 +119,7 @@ class MujocoWorld(Judging):
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
         for item in self.scene.objects:
-            X_OW, X_OT = poses[item.name].inverse(), dict[str, Pose]()
+            X_OT = dict[str, Pose]()
             for joint in item.joints:
                 name = f"{item.name}.{joint.name}"
                 if joint.type is not JointType.FIXED:
@@ -129,7 +129,7 @@ class MujocoWorld(Judging):
                 elif joint.type is JointType.BALL:
                     motions[name] = Pose.of(q=self.data.qpos[start : start + 4])
                 elif joint.type is JointType.FREE:
-                    X_OT[joint.child] = X_OW @ self._free_pose(start)
+                    X_OT[joint.child] = poses[item.name].inverse() @ self._free_pose(start)
             if X_OT:
                 found = free_motions(item, SceneState(poses, joints, motions).of_object(item), X_OT)
                 motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}

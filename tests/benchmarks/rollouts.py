@@ -19,10 +19,10 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.resets.starts import starts
-from simfoundry.evaluate.rollouts.progress import judge_of
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
+from simfoundry.predicates import Judge
 from simfoundry.spec.models.expressions import AllOf, NoneOf
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY
@@ -109,7 +109,7 @@ def _rollouts(task: Task, world: MujocoWorld, cameras: Mapping[str, ImageSize]) 
     steps = round(SECONDS * task.control_hz)
     task = replace(task, horizon=steps, goal=AllOf(all=(task.goal, NoneOf(**{"not": task.goal}))))  # never done
     start = starts(task, 1)[0]
-    judge = judge_of(task.scene)
+    judge = Judge(task.scene)
     size = sum(len(world.robot(name).joints) + 1 for name in task.robots)
     rollout(replace(task, horizon=1), start, Wandering(size, cameras), world, judge)  # opens the GL driver
     print(f"{'10 s with':<24}{'wall':>8}{'processor':>11}{'physics':>9}{'render':>8}{'judge':>8}{'policy':>8}  [s]")

@@ -16,9 +16,9 @@ from simfoundry.assets.cache import Cache
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import Image, ImageSize
 from simfoundry.evaluate.resets.starts import starts
-from simfoundry.evaluate.rollouts.progress import judge_of
 from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
 from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.predicates import Judge
 from simfoundry.worlds import open_world, world_names
 
 SPECS = Path(__file__).parents[2] / "specs" / "tasks"
@@ -47,7 +47,7 @@ def attempt(
     """Roll out one task in one engine; prints each rollout, returns how many were won and how many there were."""
     task = load_task(SPECS / f"{name}.task.yaml", cache)
     all_starts = starts(task, n, cache=cache)
-    expert, judge = ExpertPolicy(task), judge_of(task.scene)
+    expert, judge = ExpertPolicy(task), Judge(task.scene)
     good = count = 0
     camera = next(iter(camera.name for camera in task.scene.cameras))
     video = Video({camera: ImageSize(480, 270)}, every=2) if videos is not None else None

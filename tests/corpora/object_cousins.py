@@ -25,6 +25,7 @@ from simfoundry.cousins.objects.item import item_of, item_of_asset, lay, lowered
 from simfoundry.cousins.objects.retrieval import likeness
 from simfoundry.cousins.objects.swap import overlay
 from simfoundry.cousins.objects.variants import Variants, variants, write
+from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
@@ -131,7 +132,6 @@ def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Pa
     """Roll the expert out on Cup in Bowl with each of its object cousins; 1 where it wins too few."""
     from simfoundry.evaluate.expert.policy import ExpertPolicy
     from simfoundry.evaluate.resets.starts import starts
-    from simfoundry.evaluate.rollouts.progress import judge_of
     from simfoundry.evaluate.rollouts.rollout import rollout
     from simfoundry.evaluate.tasks.task import load_task
     from simfoundry.worlds import open_world
@@ -140,7 +140,7 @@ def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Pa
     paths = sorted(cousin_tasks(count, seed, out))
     for path in paths[shard[0] - 1 :: shard[1]]:
         task = load_task(path, cache)
-        policy, judge = ExpertPolicy(task), judge_of(task.scene)
+        policy, judge = ExpertPolicy(task), Judge(task.scene)
         with open_world(task.scene, "mujoco") as world:
             for start in starts(task, rollouts, seed, cache=cache):
                 one = rollout(task, start, policy, world, judge)

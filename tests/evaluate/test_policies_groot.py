@@ -12,7 +12,7 @@ from simfoundry.evaluate.policies import zmq_socket
 from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
 from simfoundry.evaluate.policies.groot import GrootPolicy
 from simfoundry.evaluate.policies.groot_modality import eef_9d
-from simfoundry.evaluate.policies.images import resize_with_pad
+from simfoundry.evaluate.policies.observation_keys import resize_with_pad
 from simfoundry.geometry.frames import Pose
 from tests.evaluate.drive import GOOD, HORIZON, expected, observation, spec_of
 from tests.evaluate.groot_server import LANGUAGE, GrootServer, config, modalities, serving

@@ -19,8 +19,7 @@ from simfoundry.evaluate.policies import codec, groot_codec
 from simfoundry.evaluate.policies.base import ImageSize, PolicyError
 from simfoundry.evaluate.policies.chunk import actions_of
 from simfoundry.evaluate.policies.codec import CodecError
-from simfoundry.evaluate.policies.images import resize_with_pad
-from simfoundry.evaluate.policies.observation_keys import pictures, reading, roll_pitch_yaw
+from simfoundry.evaluate.policies.observation_keys import pictures, reading, resize_with_pad, roll_pitch_yaw
 from simfoundry.geometry.frames import Pose
 from tests.evaluate.drive import JOINTS, observation, spec_of
 

@@ -29,6 +29,22 @@ def test_batches_and_moved_scenes_agree(case: Case) -> None:
     assert np.array_equal(Judge(other).batch(condition, there)[0], values)
 
 
+def test_conditions_that_are_judged_together_hold_as_each_alone() -> None:
+    """Also joined ones, of which parts are left out where they decide nothing."""
+    case = FIRST[0]
+    batch, judge = random_batch(case, 40, np.random.default_rng(6)), Judge(scene(case.scene))
+    upright = f"Upright({case.a})"
+    joined: dict[str, object] = {
+        "one": case.condition,
+        "all": {"all": [case.condition, upright, {"not": case.condition}]},
+        "any": {"any": [upright, {"all": [case.condition, {"not": upright}]}]},
+    }
+    found = judge.holds(joined, batch)
+    for name, condition in joined.items():
+        assert np.array_equal(found[name], judge.batch(condition, batch)[0]), name
+    assert found["any"].any() and not found["all"].any()
+
+
 def test_conditions_are_joined(boxes: Setting) -> None:
     judge, state = boxes.judge, boxes.start
     on, off = "OnTop(a, desk)", "OnTop(a, b)"

@@ -9,9 +9,9 @@ import pytest
 
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.resets.starts import starts
-from simfoundry.evaluate.rollouts.progress import judge_of
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd, rollout
 from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.predicates import Judge
 from simfoundry.worlds import open_world
 
 pytest.importorskip("mink", reason="the expert solves its arms with mink")
@@ -51,7 +51,7 @@ def test_the_expert_puts_a_cube_on_a_tray(tmp_path: Path, engine: str) -> None:
     file.write_text(TASK)
     task = load_task(file)
     (start,) = starts(task, 1, seed=3)
-    expert, judge = ExpertPolicy(task), judge_of(task.scene)
+    expert, judge = ExpertPolicy(task), Judge(task.scene)
     with open_world(task.scene, engine) as world:
         one = rollout(task, start, expert, world, judge)
         assert (one.end, expert.log) == (RolloutEnd.SUCCESS, [])

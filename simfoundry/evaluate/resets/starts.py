@@ -21,7 +21,6 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.grid import GridCell, bounds, deal, draws, sample
 from simfoundry.evaluate.resets.placement import Refusal, Spots, clash, left_cell, placed, restless, settled
 from simfoundry.evaluate.resets.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
-from simfoundry.evaluate.rollouts.progress import judge_of
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
@@ -188,7 +187,7 @@ class _Setting:
 
     def _opened(self) -> tuple[World, Judge]:
         if self._world is None or self._judge is None:
-            self._world, self._judge = open_world(self.task.scene, "mujoco"), judge_of(self.task.scene)
+            self._world, self._judge = open_world(self.task.scene, "mujoco"), Judge(self.task.scene)
         return self._world, self._judge
 
 

@@ -6,16 +6,10 @@ from collections.abc import Mapping, Sequence
 
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge, StateBatch
-from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 
 HOLD = 3
 """So many control steps in a row (0.2 s at 15 Hz) a goal must be true: what only passes through has not arrived."""
-
-
-def judge_of(scene: Scene) -> Judge:
-    """The judge of a scene."""
-    return Judge(scene)
 
 
 class Progress:

@@ -16,7 +16,7 @@ from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerErr
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
 from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.rollouts.progress import Progress
 from simfoundry.evaluate.tasks.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
@@ -109,7 +109,7 @@ def rollout(
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
     if video is not None:
         check_cameras(task.scene, video.cameras, "the video")
-    run = _Run(task, start, policy, world, judge or judge_of(task.scene), video)
+    run = _Run(task, start, policy, world, judge or Judge(task.scene), video)
     return run.result(*run.play())
 
 
