@@ -143,13 +143,6 @@ def from_box(pair: LinkPair) -> FromBox | None:
     return FromBox(field, local, radius, low, high, np.asarray(up, dtype=np.float32))
 
 
-def middles_apart(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """A distance [m] that two links have at least, (n,): of the balls around them."""
-    (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
-    off = X_WA.p + X_WA.R @ ball_a - X_WB.p - X_WB.R @ ball_b
-    return np.asarray(np.sqrt(np.einsum("ni,ni->n", off, off)) - size_a - size_b)
-
-
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
     """A distance [m] that two links have at least, (n,): of the ball around each from the box around the other."""
     (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball

@@ -65,7 +65,7 @@ class Arm:
         return self._solver.solve(self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse(), near)
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """As :meth:`solve`, but where that fails tried from home and from random postures around it."""
+        """Solve as :meth:`solve` does; if that fails, from home and from random postures around it."""
         target = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
         found = self._solver.solve(target, near)
         if found is None:

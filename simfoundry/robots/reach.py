@@ -64,7 +64,7 @@ class Miss(NamedTuple):
 
     @property
     def lacking(self) -> float:
-        """How much farther the robot would have to reach [m]."""
+        """Return how much farther the robot would have to reach [m]."""
         return self.distance - self.reach
 
 
@@ -92,7 +92,7 @@ def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | No
 
 @dataclass(frozen=True)
 class Reached:
-    """Whether any arm reaches; ``robot`` that does, or the nearest; ``away`` [m] from its base, along the ground.
+    """The result of a reach test: ``robot`` that reaches, or the nearest; ``away`` [m] from its base, along the ground.
 
     ``checked`` is False where no arm has a model or the solver is not installed; ``why`` says so.
     """
@@ -125,7 +125,7 @@ class ArmReach:
 
     @cached_property
     def missing(self) -> str:
-        """Why nothing can be checked; empty where it can."""
+        """Return why nothing can be checked; empty where it can."""
         missing = EXTRAS["expert"].missing
         if missing:
             return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
@@ -136,7 +136,7 @@ class ArmReach:
         return ""
 
     def __call__(self, low: Array, high: Array, side: Sequence[float] = UP, way: Sequence[float] = UP) -> Reached:
-        """Whether an arm can take what is between two corners in the world [m], shape (3,) each.
+        """Return whether an arm can take what is between two corners in the world [m], shape (3,) each.
 
         The hand comes from a ``side`` along a ``way``: unit vectors away from the thing.
         """
@@ -163,7 +163,7 @@ class ArmReach:
         return nearest
 
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
-        """Whether the hand gets to where its way begins and straight to its place."""
+        """Return whether the hand gets to where its way begins and straight to its place."""
         starts = (_towards(arm, hand), arm.home)
         for turn in _hand_turns(side):
             before = Pose.of(hand + OVER * way, turn)

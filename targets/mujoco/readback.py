@@ -31,7 +31,7 @@ from simfoundry.verify.readback import (
 )
 
 _contacts = import_file(Path(__file__).with_name("contacts.py"))
-Meetings, Resistance = _contacts.Meetings, _contacts.Resistance
+Meetings = _contacts.Meetings
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -113,7 +113,7 @@ class MujocoSession:
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
         )
 
-    def _collider(self, link: str, geom: int, surface: Resistance) -> ColliderReadback:
+    def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> ColliderReadback:
         model = self.model
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])

@@ -39,7 +39,7 @@ def _names(stage: Usd.Stage) -> Any:
         return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
 
     def link(path: str) -> str:
-        return names.get(path, path)  # a robot that is a file of its own has names of its own
+        return str(names.get(path, path))  # a robot that is a file of its own has names of its own
 
     found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(_usd.OWN_DAMPING)}
     own = {found[path] or "": _usd.own_damping(stage.GetPrimAtPath(path)) for path in found}

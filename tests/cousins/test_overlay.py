@@ -131,7 +131,7 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     first = [one(k).line() for k in (1, 2, 3, 4)]
     assert [other(k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, Setup;"
+        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup;"
         "print(CandidateSampler.load(SamplerSetup(sys.argv[1], sys.argv[2], 11))(3).line())"
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]

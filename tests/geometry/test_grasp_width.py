@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.scene.object_shapes import solid
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.asset import AssetSpec
-from tests.conftest import REPOSITORY
+from tests.conftest import PACKAGE, REPOSITORY
 
 ASSETS = REPOSITORY / "specs" / "assets"
 
@@ -112,3 +113,18 @@ def test_fingers_go_only_where_they_have_room(gap: float, expected: float, tmp_p
     spec = load_kind(tmp_path / "boards.asset.yaml", "asset/1").spec
     assert isinstance(spec, AssetSpec)
     assert grasp_width(solid(lowered(spec, tmp_path, "boards"))) == pytest.approx(expected, abs=1e-6)
+
+
+def test_grasp_width_and_reach_are_defined_once() -> None:
+    """Lints, tasks, object checks and the expert ask the same functions."""
+    sources = {file: file.read_text() for file in PACKAGE.rglob("*.py")}
+
+    def definitions(pattern: str) -> list[str]:
+        return [
+            f.relative_to(PACKAGE).as_posix() for f, text in sources.items() for _ in re.findall(pattern, text, re.M)
+        ]
+
+    assert definitions(r"^ *def (?:grip|grasp)_width\b") == ["geometry/grasp_width.py"]
+    assert definitions(r"^ *def nearest_miss\b|^class \w*Reach\b") == ["robots/reach.py"] * 2
+    users = set(definitions(r"import .*\bgrasp_width\b"))
+    assert {"lint/too_wide.py", "cousins/tasks/context.py", "cousins/objects/checks.py"} <= users

@@ -32,7 +32,7 @@ DRIFT, TILT_DEG = 0.01, 5.0
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """Whether a layout is accepted, and why not; ``poses`` X_WO at rest of what it moved; ``state`` of everything.
+    """The examination of a layout: accepted or why not; ``poses`` X_WO of what it moved; ``state`` of all.
 
     ``unchecked`` says what could not be looked at. ``seconds`` of each part are not part of the result.
     """
@@ -94,7 +94,7 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """What is asked holds, the other relations still do, and the goal is still to be reached."""
+    """Yield a reason unless what is asked holds, the other relations still do, and the goal is not yet met."""
     batch = StateBatch.of(twin.scene, [state])
     for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
@@ -139,7 +139,7 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about, or what was moved but no distractor, is seen by a camera and not hidden."""
+    """Yield a reason for each task object, or object moved but no distractor, that no camera sees well enough."""
     cameras = twin.scene.cameras
     if not cameras:
         unchecked.append("view: the scene has no camera that stands still")
@@ -154,7 +154,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
 
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about is within reach of an arm, by inverse kinematics."""
+    """Yield a reason for each task object that no arm reaches, by inverse kinematics."""
     if twin.robots.reach.missing:
         unchecked.append(f"reach: {twin.robots.reach.missing}")
         return
@@ -264,7 +264,7 @@ def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneSt
 
 
 def _let_sleep(world: MujocoWorld) -> None:
-    """What is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
+    """Return what is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
     import mujoco
 
     sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)
@@ -274,11 +274,11 @@ def _let_sleep(world: MujocoWorld) -> None:
 
 
 def _asleep(world: MujocoWorld) -> bool:
-    """Whether nothing is left that could move by itself."""
+    """Return whether nothing is left that could move by itself."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0
 
 
 def tilt_deg(before: Pose, after: Pose) -> float:
-    """How far the axis that pointed up has turned from the vertical [deg]."""
+    """Return how far the axis that pointed up has turned from the vertical [deg]."""
     up = before.rotation[2]
     return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))

@@ -168,7 +168,7 @@ GAP = 0.002
 
 @dataclass(frozen=True, eq=False)
 class Placeable:
-    """What is placed: an object, what rides on it, how it stands before it is turned about z, and its shadow."""
+    """An object to be placed, with its riders, how it stands before it is turned about z, and its shadow."""
 
     name: str
     riders: tuple[str, ...]
@@ -189,7 +189,7 @@ class Placeable:
         return twin.placeables[key]
 
     def height(self, support: Support) -> float:
-        """Of the frame [m], so that the thing stands on a support."""
+        """Height of the frame [m] at which the object stands on a support."""
         return support.height - self.outline.low + CLEARANCE
 
     def anywhere(self, support: Support) -> Region:
@@ -200,7 +200,7 @@ class Placeable:
         return self._regions[key]
 
     def pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
-        """Where its frame is when it is turned by ``yaw`` [rad]."""
+        """Return where its frame is when it is turned by ``yaw`` [rad]."""
         w, qx, qy, qz = self.upright.q.tolist()
         c, s = math.cos(yaw / 2), math.sin(yaw / 2)
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
@@ -288,7 +288,10 @@ class Arrangement:
         return None if failed is None else (things[failed[0]], failed[1])
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Whether a thing or what rides on it is nearer to one of the others than it may; what carries it may touch."""
+        """Return whether a thing or what rides on it is nearer to one of the others than it may.
+
+        What carries it may touch.
+        """
         solids = self.twin.solids
         return any(
             solids.meet(name, other, 0.0 if other == on else GAP)

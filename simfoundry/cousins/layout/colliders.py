@@ -57,7 +57,7 @@ class Solids:
         self._waiting[name] = X_WO
 
     def _posed(self, name: str) -> tuple[Array, Array, Array]:
-        """Of the boxes around the parts: middles [m] (k, 3), rotations (k, 3, 3), radii of their balls [m] (k,)."""
+        """Boxes around the parts: middles [m] (k, 3), rotations (k, 3, 3), radii of their balls [m] (k,)."""
         X_WO = self._waiting.pop(name, None)
         if X_WO is None:
             return self._at[name]
@@ -71,7 +71,7 @@ class Solids:
         return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
-        """Whether two objects are nearer to each other than ``gap`` [m], or overlap."""
+        """Return whether two objects are nearer to each other than ``gap`` [m], or overlap."""
         mine, yours = self._own[a][0], self._own[b][0]
         for i, j, _ in self._near(a, b, gap):
             if self._distance(self._model, self._data, mine[i], yours[j], gap + 1e-3, None) < gap:
@@ -118,6 +118,6 @@ def _bare(link: Link) -> Link:
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:
-    """How far points at ``off`` from the middles of boxes are outside of them [m], (k,)."""
+    """Return how far points at ``off`` from the middles of boxes are outside of them [m], (k,)."""
     outside = np.maximum(np.abs(np.einsum("kij,ki->kj", turn, off)) - half, 0.0)
     return np.asarray(np.sqrt((outside * outside).sum(axis=1)))

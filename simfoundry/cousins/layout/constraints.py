@@ -41,7 +41,10 @@ class PlacementConstraints:
 
 
 def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
-    """What an axis asks; raises :class:`ImpossibleError` with every reason that is certain. Found once for a twin."""
+    """Return what an axis asks; raises :class:`ImpossibleError` with every reason that is certain.
+
+    Found once for a twin.
+    """
     key = axis.model_dump_json()
     if key not in twin.constraints:
         twin.constraints[key] = _asks(twin, axis)
@@ -112,7 +115,7 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
-    """What things stand on around an anchor: the level under it; under one that is fixed, that of the things."""
+    """Return what things stand on around an anchor: the level under it; under one that is fixed, that of the things."""
     low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
     seen = [anchor]
     for name in seen:
@@ -131,7 +134,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
 
 
 def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, name: str, word: str) -> Iterator[Reason]:
-    """Why a predicate can never hold between an object and the anchor."""
+    """Yield why a predicate can never hold between an object and the anchor."""
     if word in DROPPED:
         try:
             twin.judge(f"{word}({name}, {anchor})", twin.state)
@@ -193,7 +196,7 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
 
 
 def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[Reason]:
-    """Whether most of a thing is outside of the cavity, however it is turned."""
+    """Return whether most of a thing is outside of the cavity, however it is turned."""
     from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, largest_share
     from simfoundry.geometry.cavity import cavity
     from simfoundry.predicates.judging.bodies import Bodies
@@ -217,7 +220,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Whether something that has no room in the cavity as a whole comes to lie there in enough drops, as it must."""
+    """Return whether an object with no room in the cavity as a whole comes to lie there in enough drops."""
     from simfoundry.cousins.layout.arrangement import Arrangement
     from simfoundry.cousins.layout.drop_sampling import drop
 
@@ -230,7 +233,7 @@ def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
 
 
 def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[str, ...], together: int) -> list[Reason]:
-    """Why no predicates that are asked for can hold at once; nothing where some can."""
+    """Return why no predicates that are asked for can hold at once; nothing where some can."""
     several = min(together, len(set(words)))
     if len(sets[0]) >= several:
         return []
@@ -272,7 +275,7 @@ def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...
 
 
 def compatible(words: Iterable[str]) -> bool:
-    """Whether predicates of the same two things can hold at once."""
+    """Return whether predicates of the same two things can hold at once."""
     some = set(words)
     if any(pair <= some for pair in AGAINST):
         return False
@@ -300,7 +303,7 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Why not everything that must stand on some places finds room there; nothing where it may.
+    """Return why not everything that must stand on some places finds room there; nothing where it may.
 
     They must hold what stands there and stays, what the ``axis`` moves onto ``around`` (by default the places), and
     ``count`` distractors, which are the ``items`` in turn: the smallest of them, at best.

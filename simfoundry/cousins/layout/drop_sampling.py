@@ -120,7 +120,10 @@ def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
 def dropped(
     twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
 ) -> Pose:
-    """Where a thing first touches an anchor that it comes down on; raises :class:`PlaceError` where it misses it."""
+    """Return where a thing first touches an anchor that it comes down on.
+
+    Raises :class:`PlaceError` where it misses it.
+    """
     turned = thing.pose(0.0, 0.0, 0.0, yaw)
     rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
     place = Place(on=None if inside else anchor, inside=anchor if inside else None, xy=xy, rpy_deg=rpy)

@@ -35,7 +35,7 @@ ALMOST = 4
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where things go: ``poses`` X_WO by name of all that move, riders too.
+    """New poses of objects: ``poses`` X_WO by name of all that move, riders too.
 
     ``asked`` are the conditions that must hold at rest; ``dropped`` may move as they come to rest on or in the anchor;
     ``tries`` counts candidates.
@@ -185,7 +185,7 @@ def _place(
 
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
-    """Where a thing can be so that it is no farther from the anchor than it may."""
+    """Return where a thing can be so that it is no farther from the anchor than it may."""
     shape = table.twin.shape(anchor, table.poses[anchor])
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
     reach = axis.gap[1] + thing.outline.radius
@@ -198,7 +198,7 @@ def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support,
 def _judged(
     table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float
 ) -> Callable[[Array, Array, Array], Mask]:
-    """Which candidates satisfy predicates, by the judge itself, all at once."""
+    """Return which candidates satisfy predicates, by the judge itself, all at once."""
     twin, X_WA = table.twin, table.poses[anchor]
     condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
     upright = thing.upright.rotation
@@ -226,7 +226,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Why a thing found no place, with how much of the support would do and how much of that is free."""
+    """Return why a thing found no place, with how much of the support would do and how much of that is free."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {

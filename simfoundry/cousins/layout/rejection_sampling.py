@@ -41,7 +41,7 @@ Last = Callable[[float, float, float], bool]
 
 
 class Occupancy:
-    """What stands there: for each entry a rectangle and a span of heights. Things of several links have several."""
+    """Rectangles and spans of heights of what stands on a support; objects of several links have several entries."""
 
     def __init__(self, room: int = 64) -> None:
         self.count = 0
@@ -85,7 +85,7 @@ class Occupancy:
         return near, dx, dy
 
     def met(self, i: Index, j: Index, dx: Array, dy: Array, turn: Complex, outline: Outline, gap: float) -> Mask:
-        """Whether rectangles of candidates i, turned by unit complex numbers, meet those of entries j.
+        """Return whether rectangles of candidates i, turned by unit complex numbers, meet those of entries j.
 
         ``dx`` and ``dy`` [m] are the offsets between their centres.
         """
@@ -114,14 +114,14 @@ class Occupancy:
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Whether one of some entries fills its rectangle."""
+        """Return whether one of some entries fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
 def rectangles_meet(
     off: Complex, turn_a: Complex, half_a: Complex | complex, turn_b: Complex, half_b: Complex | complex, gap: float
 ) -> Mask:
-    """Whether rectangles are nearer to each other than ``gap`` [m] along the sides of both: none is between them.
+    """Return whether rectangles are nearer than ``gap`` [m] along the sides of both: no line lies between them.
 
     ``off`` is from the centre of the first to that of the second [m]; turns are unit complex numbers; half extents [m]
     have that along the first side as real part.
@@ -138,8 +138,8 @@ def rectangles_meet(
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Where the centre of a thing's rectangle is drawn from [m], shape (2,) each, how it may be turned [rad], and on
-    what it stands, at the height ``z`` [m] of its frame."""
+    """A range for the centre of an object's rectangle [m], shape (2,) each, for its turn [rad]; the ``support`` that
+    it stands on, and the height ``z`` [m] of its frame there."""
 
     low: Array
     high: Array
@@ -162,7 +162,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Found:
-    """Where a thing goes: x, y [m] of its frame, turn about z [rad]; or None, and what became of all candidates."""
+    """A place for an object: x, y [m] of its frame, turn about z [rad], or None; and what became of all candidates."""
 
     spot: tuple[float, float, float] | None
     tried: int
@@ -172,7 +172,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """What a place must pass beyond being over the support and clear of what fills its rectangle.
+    """Tests that a place must pass beyond being over the support and clear of what fills its rectangle.
 
     ``allowed`` is asked of many at once; ``clear`` of one that meets rectangles of entries, with their numbers; and
     ``last`` of one that is clear.
@@ -219,7 +219,7 @@ def find(
 
 
 def _frames(centre: Array, turn: Complex, offset: complex) -> Complex:
-    """Where the frames are, x + iy [m], of things whose rectangles are centred so."""
+    """Return where the frames are, x + iy [m], of things whose rectangles are centred so."""
     return np.asarray(centre[:, 0] + 1j * centre[:, 1] - turn * offset)
 
 

@@ -46,7 +46,7 @@ class Outline:
 
     @classmethod
     def of(cls, shape: Hulls) -> Outline:
-        """Of convex parts; raises ValueError where there are none."""
+        """Outline convex parts; raises ValueError if there are none."""
         if not len(shape.corners):
             raise ValueError("nothing to see")
         corners = _shadow(shape)
@@ -61,12 +61,12 @@ class Outline:
 
     @cached_property
     def radius(self) -> float:
-        """Of the circle about the centre of the rectangle that holds the shadow [m]."""
+        """Radius [m] of the circle about the centre of the rectangle that holds the shadow."""
         return float(np.hypot(*self.spread).max())
 
     @cached_property
     def size(self) -> float:
-        """Of the circle around the rectangle [m]."""
+        """Radius [m] of the circle around the rectangle."""
         return float(np.hypot(*self.half))
 
     @cached_property
@@ -81,7 +81,7 @@ class Outline:
 
     @cached_property
     def area(self) -> float:
-        """Of the shadow [m^2]."""
+        """Area of the shadow [m^2]."""
         return _area(self.corners)
 
     @cached_property
@@ -142,7 +142,7 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
 
 
 def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
-    """Whether one box that stands flat is all there is."""
+    """Return whether one box that stands flat is all there is."""
     z = shape.corners[:, 2]
     if len(shape.radius) != 1 or shape.radius[0] > 0 or len(z) != 8:
         return False
@@ -221,11 +221,11 @@ class Support:
 
     @cached_property
     def offsets(self) -> Array:
-        """Of the sides along their normals [m], shape (m,)."""
+        """Offsets of the sides along their normals [m], shape (m,)."""
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
     def holds(self, centre: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
-        """Whether whole shadows are over the level, (n,).
+        """Return whether whole shadows are over the level, (n,).
 
         The centres of their rectangles [m], (n, 2); their turns about z as unit complex numbers, (n,); and the
         :attr:`Outline.spread` of one for all, (2, m), or of each, (n, 2, m).

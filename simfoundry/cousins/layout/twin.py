@@ -117,7 +117,7 @@ class Twin:
         return replace(self, state=state, base=self)
 
     def _is_as_in_base(self, name: str) -> bool:
-        """Whether an object is the same as in the base, and where it is there."""
+        """Return whether an object is the same as in the base, and where it is there."""
         if self.base is None:
             return False
         item = self.scene.object(name)
@@ -317,7 +317,7 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
 
 
 def _away(item: SceneObject, k: int) -> Pose:
-    """Where the k-th absent thing is, turned as it is written: engines begin there, and it must meet no other."""
+    """Return where the k-th absent object is, turned as written: engines begin there, and it must meet no other."""
     return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
 
 

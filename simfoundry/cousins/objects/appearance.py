@@ -91,7 +91,7 @@ def priors() -> Priors:
 
 
 def category_prior(category: str) -> CategoryPrior | None:
-    """What is known of things of a category, as `blue_cup`; None of one that is not here."""
+    """Return what is known of things of a category, as `blue_cup`; None of one that is not here."""
     known = priors()
     for word in (category, *reversed(re.split(r"[_\d]+", category))):
         name = known.synonyms.get(word, word)
@@ -101,7 +101,7 @@ def category_prior(category: str) -> CategoryPrior | None:
 
 
 def same_kind(a: str, b: str) -> bool:
-    """Whether two categories or names are of one kind: a `blue_cup` is a `cup`, and a `tumbler_2` too."""
+    """Return whether two categories or names are of one kind: a `blue_cup` is a `cup`, and a `tumbler_2` too."""
     one, other = category_prior(a), category_prior(b)
     if one is not None or other is not None:
         return one is other

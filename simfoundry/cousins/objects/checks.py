@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -48,7 +49,7 @@ class Needs:
 
 
 def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]) -> Needs:
-    """What the tasks ask of the object ``name``, and, without any, what it does in its scene as it is."""
+    """Return what the tasks ask of the object ``name``, and, without any, what it does in its scene as it is."""
     calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
@@ -125,14 +126,15 @@ class ObjectBaseline:
 
 
 def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
-    """Why a lowered candidate is none, the cheap checks first; nothing where it passes all."""
+    """Yield why a lowered candidate is none, the cheap checks first; nothing where it passes all."""
     yield from _open_meshes(item)
     yield from _size(item, twin.item, category_prior(category))
     if twin.opening is not None:
         width = grasp_width(solid(item))
         if width > twin.opening - MARGIN:
-            text = f"it is {length(width)} wide at its narrowest, and the gripper opens {length(twin.opening)}"
-            yield Reason("grip", text, {"width": width, "opening": twin.opening})
+            narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+            text = f"it {narrow}, and the gripper opens {length(twin.opening)}"
+            yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
     jam = moves(item, twin.item) if twin.needs.joints else None
     if jam is not None:
         yield jam
@@ -209,14 +211,14 @@ TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What became of a trial; ``why`` says it with numbers."""
+    """The result of a trial; ``why`` explains it with numbers."""
 
     passed: bool
     why: str
 
 
 def stands(item: SceneObject) -> TrialOutcome:
-    """Whether a thing put on a table stays there, and does not topple when it is tilted a little."""
+    """Return whether a thing put on a table stays there, and does not topple when it is tilted a little."""
     placed = _on_table(item)
     if isinstance(placed, TrialOutcome):
         return placed
@@ -226,7 +228,7 @@ def stands(item: SceneObject) -> TrialOutcome:
 
 
 def rests(call: Call, things: Mapping[str, SceneObject]) -> TrialOutcome:
-    """Whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` was put there and let go, in any of some ways.
+    """Return whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` was let go there, in any of a few ways.
 
     ``things`` are ``a`` and ``b`` by name; the joints of ``b`` are opened.
     """
@@ -286,7 +288,10 @@ def _calmed(world: MujocoWorld) -> SceneState:
 
 
 def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
-    """Why a joint no longer moves as the twin's does: its range, or what it meets on its way; None where all do."""
+    """Return why a joint no longer moves as the twin's does: its range, or what it meets on its way.
+
+    None where all do.
+    """
     for joint in item.joints:
         own = next((j for j in twin.joints if j.name == joint.name), None)
         if joint.limits is None or own is None or own.limits is None:

@@ -23,7 +23,7 @@ MANY = 5
 
 
 class Kind(StrEnum):
-    """What a component is for."""
+    """The purpose of a component."""
 
     VESSEL = "vessel"  # a turned body with a cavity
     TURNED = "turned"  # a turned body without one
@@ -104,7 +104,7 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
 
 
 def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
-    """What a part is beside the body; None where it belongs to that."""
+    """Return what a part is beside the body; None where it belongs to that."""
     words = set(re.split(r"[_\d]+", key[1])) - {""}
     if len(own) == 1:
         return None
@@ -123,12 +123,12 @@ def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None
 
 
 def _is_called(words: set[str], kind: Kind, names: set[str]) -> bool:
-    """Whether a part is of a kind by the words of its name; `stem_side` is a side, and no stem."""
+    """Return whether a part is of a kind by the words of its name; `stem_side` is a side, and no stem."""
     return words <= names if kind is Kind.STEM else bool(words & names)
 
 
 def _moving(spec: AssetSpec, link: str) -> Kind | None:
-    """What a link is by the joint that carries it."""
+    """Return what a link is by the joint that carries it."""
     joint = next((j for j in spec.joints.values() if j.child == link), None)
     if joint is None:
         return None

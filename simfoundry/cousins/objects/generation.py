@@ -234,7 +234,7 @@ PROMPTS = {
 
 
 class PromptAnswer(BaseModel):
-    """What a model answers: read by a schema, never run, and cut to what is used."""
+    """An answer of a model: read by a schema, never run, and cut to what is used."""
 
 
 class ComponentNames(PromptAnswer):
@@ -284,7 +284,7 @@ def _environment() -> Any:
 
 @dataclass(frozen=True)
 class SourceSetup:
-    """What a run brings along: the folder of its ``library``, and the name of a ``vlm`` where the recipe has none.
+    """Sources that a run brings along: the folder of its ``library``, and a ``vlm`` if the recipe names none.
 
     ``scene`` is the document of the twin's scene, of which models see a picture.
     """

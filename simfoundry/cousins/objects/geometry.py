@@ -124,13 +124,13 @@ def _turns(joint: JointSpec) -> bool:
 
 
 def is_ball(spec: AssetSpec) -> bool:
-    """Whether an asset is nothing but one ball."""
+    """Return whether an asset is nothing but one ball."""
     every = list(parts_of(spec).values())
     return len(every) == 1 and isinstance(every[0].shape, SphereShape)
 
 
 def _round_about_z(part: PartSpec) -> bool:
-    """Whether it would no longer be what it is with another factor in x than in y."""
+    """Return whether it would no longer be what it is with another factor in x than in y."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):
         return rod(part) is None
@@ -139,7 +139,7 @@ def _round_about_z(part: PartSpec) -> bool:
 
 
 def _is_square(rotation: Array) -> bool:
-    """Whether a rotation maps axes onto axes."""
+    """Return whether a rotation maps axes onto axes."""
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
@@ -312,7 +312,7 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
 
 
 def is_radial(part: PartSpec) -> bool:
-    """Whether a rod points away from the z axis of its link."""
+    """Return whether a rod points away from the z axis of its link."""
     p, axis = at(part), axis_of(part)
     off = float(np.hypot(*p[:2]))
     return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9

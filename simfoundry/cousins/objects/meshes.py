@@ -145,7 +145,7 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """How far the ends may go into the body [m]."""
+        """Return how far the ends may go into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:

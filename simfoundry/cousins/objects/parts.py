@@ -59,7 +59,7 @@ def shaped(part: PartSpec, shape: Shape) -> PartSpec:
 
 
 def at(part: PartSpec) -> Array:
-    """Where its frame is in the link [m], shape (3,)."""
+    """Return where its frame is in the link [m], shape (3,)."""
     return np.array(part.pose.xyz)
 
 
@@ -78,7 +78,7 @@ def axis_of(part: PartSpec) -> Array:
 
 
 def is_level(direction: Array) -> bool:
-    """Whether a direction lies in the plane of x and y."""
+    """Return whether a direction lies in the plane of x and y."""
     return abs(float(direction[2])) < 1e-3
 
 
@@ -186,7 +186,7 @@ class Profile:
 
     @property
     def shape(self) -> LatheShape:
-        """As a document has it."""
+        """The profile as a document has it."""
         rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
         kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
         return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
@@ -213,7 +213,7 @@ class Profile:
 
     @property
     def is_hollow(self) -> bool:
-        """Whether it holds something."""
+        """Return whether it holds something."""
         return self.depth > HOLLOW * self.height and len(self.inner) >= 3
 
     @property

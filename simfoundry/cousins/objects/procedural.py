@@ -268,7 +268,7 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
+    """Return whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 

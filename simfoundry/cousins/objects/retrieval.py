@@ -48,7 +48,7 @@ elsewhere), or their colours by 12 in L*a*b*: five times what is just seen (Mahy
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """What a thing looks like: ``size`` [m] along x, y, z, shape (3,); ``shape`` shares of the pairs of points by their
+    """The looks of an object: ``size`` [m] along x, y, z, shape (3,); ``shape`` shares of the pairs of points by their
     distance, shape (24,), of sum 1; ``colors`` L*a*b* of what is seen of it, by area, shape (k, 3), with ``areas`` as
     shares, shape (k,); ``mass`` [kg].
     """
@@ -60,7 +60,7 @@ class Likeness:
     mass: float
 
     def apart(self, other: Likeness) -> LikenessDistance:
-        """How far another is from this."""
+        """Return how far another is from this."""
         size = float(np.abs(np.log(self.size / other.size)).max())
         shape = float(np.abs(self.shape - other.shape).sum() / 2)
         return LikenessDistance(size, shape, color_distance(self, other))
@@ -186,7 +186,7 @@ class VariantEntry:
 
 
 class VariantLibrary:
-    """What a folder offers: asset documents, and mesh files, whose category is the name of the folder that they are in.
+    """The assets of a folder: documents, and mesh files, whose category is the name of the folder that they are in.
 
     ``left_out`` are files that cannot be used, with why. Raises :class:`SimfoundryError` where there is no folder.
     """
@@ -255,7 +255,7 @@ class Retrieval:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """What a library holds: the SHA-256 of each file by its path in the folder, sorted."""
+    """Return what a library holds: the SHA-256 of each file by its path in the folder, sorted."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 

@@ -25,7 +25,6 @@ PIXELS = 192
 AROUND = 64
 """Sides of what is turned; its chords then depart from the circle by 0.1 % of the radius."""
 
-MILLIMETRE = 0.001
 
 Field = NDArray[np.float64]
 """Values in [0, 1], shape (PIXELS, PIXELS), from the top down: of a pattern the share of the second colour."""
@@ -75,12 +74,12 @@ SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kin
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
+    """Return whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
 def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[str, ...]:
-    """What things of a kind and material are decorated with."""
+    """Return what things of a kind and material are decorated with."""
     material = part.material or spec.links[component.link].material or ""
     category = spec.category or spec.name
     for words, names in STYLES:
@@ -181,7 +180,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """How far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
+    """Return how far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])

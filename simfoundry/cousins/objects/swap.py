@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.cousins.objects.checks import Needs, needs_of
@@ -21,7 +18,6 @@ from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.base import BodySpec
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
@@ -29,9 +25,6 @@ from simfoundry.spec.yaml.write import to_yaml
 
 VERSION = "variants/3"
 """Changes where the same twin, axis and seed would give other variants."""
-
-REPLACED = (*BodySpec.model_fields, "shape", "scale", "visual")
-"""What a scene says of a shape or mesh, and an asset document says of itself."""
 
 
 def prepare(
@@ -98,7 +91,7 @@ def made_for(
 
 @dataclass(frozen=True)
 class VariantCount:
-    """How many variants of an object were ``asked`` for and ``made``, from how many ``candidates``.
+    """Numbers of variants of an object that were ``asked`` for and ``made``, and of ``candidates`` that it took.
 
     ``reasons`` says how often each reason was given against the rest, ``examples`` the text of the first of each.
     """
@@ -112,7 +105,7 @@ class VariantCount:
 
     @property
     def is_short(self) -> bool:
-        """Whether there are fewer than were asked for."""
+        """Return whether there are fewer than were asked for."""
         return self.made < self.asked
 
     def to_json(self) -> dict[str, Any]:
@@ -129,7 +122,7 @@ class VariantCount:
 
 
 def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
-    """What came of each object of an axis, from the records in the folder of its variants."""
+    """Return what came of each object of an axis, from the records in the folder of its variants."""
     found = []
     for name, wanted in axis.objects.items() if axis is not None else ():
         record = json.loads((folder / f"{name}.variants.json").read_bytes())
@@ -142,7 +135,7 @@ def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
 
 
 def record_of(made: Variants) -> dict[str, Any]:
-    """What manifests say of the variants of one object."""
+    """Return what manifests say of the variants of one object."""
     accepted = [
         {
             "asset": v.file,
@@ -157,44 +150,13 @@ def record_of(made: Variants) -> dict[str, Any]:
     return {"accepted": accepted, "refused": refused, "reasons": made.reasons, "lacks": list(made.lacks)}
 
 
-def chosen(records: Mapping[str, Mapping[str, Any]], rng: np.random.Generator) -> dict[str, str]:
-    """One variant of each object, evenly drawn: the file names of their documents, by object.
-
-    An object of which there is none keeps the twin.
-    """
-    out = {}
-    for name in sorted(records):
-        files = [one["asset"] for one in records[name]["accepted"]]
-        if files:
-            out[name] = files[int(rng.integers(0, len(files)))]
-    return out
-
-
-def overlay(assets: Mapping[str, str], spec: SceneSpec, folder: Path, beside: Path) -> dict[str, Any]:
-    """The part of an overlay that puts variants in the place of objects.
-
-    ``assets`` are file names in ``folder`` by object, ``spec`` is the twin's, and ``beside`` the folder of the overlay.
-    """
-    objects = {}
-    for name, file in assets.items():
-        gone = [key for key in REPLACED if key in spec.objects[name].model_fields_set]
-        asset = Path(os.path.relpath(folder / file, beside)).as_posix()
-        objects[name] = {"asset": asset} | dict.fromkeys(gone)
-    return {"objects": objects}
-
-
-def variant_set(name: str, assets: Mapping[str, str]) -> dict[str, Any]:
-    """The part of an overlay that gives an object variants of its own, which in USD are one variant set.
-
-    ``assets`` are paths of documents, relative to the overlay, by the names of the variants.
-    """
-    return {"objects": {name: {"variants": {variant: {"asset": path} for variant, path in assets.items()}}}}
-
-
 def _key(
     item: ObjectAsset, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None
 ) -> str:
-    """What variants depend on; of models their names in the recipe: whoever is asked says each time something else."""
+    """Return what variants depend on.
+
+    Of models their names in the recipe: whoever is asked says each time something else.
+    """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
     of = [axis.models.model_dump_json()] if "model" in wanted.sources else []

@@ -98,7 +98,7 @@ class Refused:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """What came of it; ``lacks`` is what the twin itself cannot do, which was not asked of the variants."""
+    """Accepted and refused variants; ``lacks`` is what the twin itself cannot do, which was not asked of them."""
 
     accepted: tuple[Variant, ...]
     refused: tuple[Refused, ...]
@@ -106,7 +106,7 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How often each reason was given, the commonest first."""
+        """Return how often each reason was given, the commonest first."""
         counts = Counter(reason.code for one in self.refused for reason in one.reasons)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 

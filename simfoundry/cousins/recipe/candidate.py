@@ -32,7 +32,7 @@ class Rejected:
 
 
 class ImpossibleError(SimfoundryError):
-    """What is asked for can never be: each reason is certain before anything is tried."""
+    """A request that can never be met: each reason is certain before anything is tried."""
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -41,7 +41,7 @@ class ImpossibleError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Candidate:
-    """What came of candidate ``index``, counted from 1.
+    """The result of candidate ``index``, counted from 1.
 
     ``documents`` are the texts of an accepted one by kind (``scene``, ``task``), ``asked`` the predicates that its
     layout was asked for, ``goal`` is that of its own task, and ``unchecked`` says what could not be looked at.
@@ -57,7 +57,7 @@ class Candidate:
 
     @property
     def accepted(self) -> bool:
-        """Whether it is a cousin."""
+        """Return whether it is a cousin."""
         return not self.reasons
 
     def files(self) -> dict[str, str]:

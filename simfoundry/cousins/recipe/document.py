@@ -67,7 +67,7 @@ class Recipe:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the choice of distractors."""
+        """Return what a user should know of the choice of distractors."""
         return self._choice[1]
 
     @cached_property
@@ -98,7 +98,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """What a run is of: the same, the same bytes."""
+        """Return what a run is of: the same, the same bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -115,7 +115,7 @@ class Recipe:
         }
 
     def _object_files(self) -> dict[str, str]:
-        """What the library of the object axis holds."""
+        """Return what the library of the object axis holds."""
         axis = self.spec.object
         if axis is None or axis.library is None:
             return {}

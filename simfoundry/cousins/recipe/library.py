@@ -60,7 +60,7 @@ class LibraryItem:
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """How a scene describes it, with its file under ``reference``."""
+        """Return how a scene describes it, with its file under ``reference``."""
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -139,7 +139,7 @@ def _meshes_of(document: Path) -> list[Path]:
 
 
 def name_of(file: Path) -> str:
-    """What a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
+    """Return what a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
     stem = file.name.split(".")[0]
     if stem.lower() in _NAMELESS or stem.lower().startswith("google"):
         stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
@@ -194,7 +194,7 @@ def measured(file: Path, cache: Cache) -> LibraryItem:
 
 
 def _states_category(scene: Loaded, file: Path) -> bool:
-    """Whether the document of a thing gives its category; a mesh never does."""
+    """Return whether the document of a thing gives its category; a mesh never does."""
     from simfoundry.spec.models.asset import AssetSpec
 
     asset = scene.used(file.name)
@@ -301,18 +301,18 @@ def _filters(
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Whether a thing is of a kind that one of the words names: by its category, or its name where it states none."""
+    """Return whether one of the words names an object's kind: by its category, or its name if it states none."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
 
 def _is_nameless(item: LibraryItem) -> bool:
-    """Whether neither a category nor a word of its name says what a thing is."""
+    """Return whether neither a category nor a word of its name says what a thing is."""
     return not item.stated and category_prior(item.name) is None
 
 
 def _resembles(item: LibraryItem, things: Sequence[SceneObject]) -> bool:
-    """Whether a thing is about as large as one of the others and has about its shape."""
+    """Return whether a thing is about as large as one of the others and has about its shape."""
     mine = _likeness(item.file)
     return any(
         apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
@@ -328,7 +328,7 @@ def _likeness(file: Path) -> Likeness:
 
 
 def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
-    """What a user should know of the choice: what was left out beside the twin, and what states no category."""
+    """Return what a user should know of the choice: what was left out beside the twin, and what states no category."""
     found = []
     for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
         if step.taken:
@@ -357,7 +357,7 @@ def _within(what: str, bounds: ValueRange) -> Callable[[LibraryItem], bool]:
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
-    """How many there were, and what each filter took."""
+    """Return how many there were, and what each filter took."""
     total = len(library.items)
     text = f"no distractor is left of the {total} in {library.title}"
     numbers = {"library": float(total)}

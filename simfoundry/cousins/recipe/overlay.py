@@ -110,18 +110,18 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
 
 
 def named(recipe: Recipe, index: int) -> str:
-    """What a cousin is called."""
+    """Return what a cousin is called."""
     return f"{recipe.spec.name[:MOST_NAME]}_{index:06d}"
 
 
 def origin(recipe: Recipe, index: int) -> Data:
-    """Where a cousin comes from."""
+    """Return where a cousin comes from."""
     generator = f"simfoundry {simfoundry.__version__}"
     return {"cousin": {"recipe": recipe.spec.name, "seed": recipe.seed, "index": index, "generator": generator}}
 
 
 def relative(file: Path, folder: Path) -> str:
-    """How documents in a folder name a file."""
+    """Return how documents in a folder name a file."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 

@@ -64,7 +64,7 @@ class VariantPool:
 
 
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
+    """Return what a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.recipe.variant_pool import tasks_of
 
     others, tasks = choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
@@ -92,7 +92,7 @@ def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice,
 
 
 def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
-    """How cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
+    """Return how cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
     return {item.name: _reference(item, root, out) for item in items}
 
 

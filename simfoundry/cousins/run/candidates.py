@@ -33,7 +33,7 @@ KEPT_TWINS = 8
 
 @dataclass(frozen=True)
 class SamplerSetup:
-    """Which recipe, with which seed, written where: all that a process needs to make candidates.
+    """The recipe, the seed and the output folder: all that a process needs to make candidates.
 
     ``vlm`` names a model, which the process that begins a run may ask.
     """
@@ -99,7 +99,7 @@ class CandidateSampler:
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """What chance chose: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
+    """A random draw: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
 
     twin: Twin
     layout: Layout
@@ -108,7 +108,7 @@ class _Draw:
 
     @property
     def is_moved(self) -> bool:
-        """Whether anything is not as in the twin, so that it has to settle."""
+        """Return whether anything is not as in the twin, so that it has to settle."""
         return bool(self.layout.poses or self.others or self.added)
 
 
@@ -191,7 +191,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
+    """Return why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.proposals import context_at
@@ -204,7 +204,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
-    """What the documents say of other and of new things, but for where they are."""
+    """Return what the documents say of other and of new things, but for where they are."""
     found: dict[str, overlay.Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
@@ -227,7 +227,7 @@ _OF_LINKS = _of_links()
 
 
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
-    """What holds: of what the twin states, then what was asked for, then what new things stand on."""
+    """Return what holds: of what the twin states, then what was asked for, then what new things stand on."""
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:

@@ -24,7 +24,7 @@ WHOLE = "log.jsonl"
 
 
 class LogEntry(NamedTuple):
-    """Where the line of a candidate is, and whether it says that the candidate is accepted."""
+    """The place of a candidate's line in a log, and whether the candidate is accepted."""
 
     file: Path
     start: int

@@ -83,7 +83,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
-    """How a run stands, in few words: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
+    """Return how a run stands, in few words: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
     text = f"{len(ledger.accepted)} of {ledger.wanted}"
     if ledger.examined:
         text += f", {ledger.rate:.0%} accepted"

@@ -30,7 +30,7 @@ LEAST_RATE = 0.005
 
 
 class RunEnd(StrEnum):
-    """How a run ended, or that it did not yet."""
+    """The end of a run, or that it goes on."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -63,7 +63,7 @@ class Ledger:
 
     @property
     def examined(self) -> int:
-        """How many candidates count."""
+        """Return how many candidates count."""
         return (self.next_index - self.first) // self.step
 
     @property
@@ -73,7 +73,7 @@ class Ledger:
 
     @property
     def rate(self) -> float:
-        """Which share of those that count is accepted."""
+        """Return which share of those that count is accepted."""
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
@@ -92,7 +92,7 @@ class Ledger:
             self.end = RunEnd.EXHAUSTED
 
     def counted(self) -> Iterator[LogEntry]:
-        """Where the candidates that count stand, in order."""
+        """Return where the candidates that count stand, in order."""
         return (self.known[k] for k in self.indices())
 
     def indices(self) -> range:
@@ -130,7 +130,7 @@ Heard = Callable[[Ledger], None]
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What is to be made: ``wanted`` cousins in ``out``; ``about`` says of what, and is the same for the same bytes.
+    """The aim of a run: ``wanted`` cousins in ``out``; equal ``about`` gives equal bytes.
 
     ``shard`` (i, n), i from 1, examines every n-th candidate from the i-th on, and writes no cousins. ``most`` is how
     many candidates there are, None without end; ``variants`` what came of each object that varies.
@@ -231,7 +231,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def _is_near(index: int, ledger: Ledger, pool: CandidatePool) -> bool:
-    """Whether a candidate is not too far ahead of those that count, so that memory and work in vain stay bounded."""
+    """Return whether a candidate is near enough to those that count, so that memory and vain work stay bounded."""
     return index - ledger.next_index < AHEAD * ledger.step * pool.size
 
 

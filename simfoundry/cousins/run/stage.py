@@ -75,7 +75,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """What each cousin says of its objects."""
+    """Yield what each cousin says of its objects."""
     with Reader() as reader:
         for place in ledger.counted():
             candidate = reader.candidate(place) if place.accepted else Candidate(0)

@@ -24,7 +24,7 @@ SILENCE_S = 600.0
 
 @dataclass(frozen=True)
 class Work:
-    """What a process does for each candidate: it calls what ``factory`` (``module:name``) makes of ``arguments``."""
+    """The work of a process for each candidate: it calls what ``factory`` (``module:name``) makes of ``arguments``."""
 
     factory: str
     arguments: tuple[Any, ...] = ()

@@ -32,7 +32,7 @@ class AcceptedTask:
     state: SceneState | None = None
 
     def covers(self, goal: Any, setting: TaskContext) -> bool:
-        """Whether another goal about the same objects is reached where this one is."""
+        """Return whether another goal about the same objects is reached where this one is."""
         if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
             return False
         return setting.twin.judge(goal, self.state).value
@@ -120,7 +120,7 @@ def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Whether there is nothing to do: the goal holds at the start, or asks for nothing to come true."""
+    """Return whether there is nothing to do: the goal holds at the start, or asks for nothing to come true."""
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)
@@ -149,6 +149,6 @@ def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 
 def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Why no state is found in which a goal is true."""
+    """Return why no state is found in which a goal is true."""
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

@@ -49,7 +49,7 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
 
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
-    """Where the middle of a thing is to come down for a predicate: x and y in the world [m], the likely ones first."""
+    """Return where the middle of an object may come down for a predicate: x, y in the world [m], the likely first."""
     if call.predicate in SIDES or call.predicate == "NextTo":
         return list(_beside(setting, call, state))
     if call.predicate == "At":
@@ -112,7 +112,7 @@ def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
 
 
 def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
-    """Whether a point in a link's frame [m], shape (3,), is in none of its parts."""
+    """Return whether a point in a link's frame [m], shape (3,), is in none of its parts."""
     body = Bodies(setting.twin.scene)[owner]
     form = body.forms[body.index(link)]
     parts = [] if form is None else range(len(form.parts.radius))
@@ -120,14 +120,14 @@ def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """How large the cavity of a thing is, for a sentence."""
+    """Return how large the cavity of a thing is, for a sentence."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""
 
 
 def across(hole: Cavity) -> float:
-    """How wide a cavity is at its widest [m], from the ball around it."""
+    """Return how wide a cavity is at its widest [m], from the ball around it."""
     return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
 
 

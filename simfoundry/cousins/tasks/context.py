@@ -51,7 +51,7 @@ it clears the board on which something low lies."""
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """How a hand comes to a thing: from ``side``, and leaves along ``way``; unit vectors away from it, shape (3,)."""
+    """An approach of a hand: from ``side``, leaving along ``way``; unit vectors away from the object, shape (3,)."""
 
     side: Array
     way: Array
@@ -69,7 +69,10 @@ ABOVE = Approach(UP, UP)
 
 
 def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
-    """How a hand can come to a thing in a state: from above, or else from each open side; none where it is shut in."""
+    """Return how a hand can come to a thing in a state: from above, or else from each open side.
+
+    None where it is shut in.
+    """
     low, high = setting.bounds(name, state)
     own = {name, *setting.twin.riders(name)}
     near = _obstacles(setting, own, low, high, state)
@@ -104,7 +107,7 @@ def _outline(low: Array, high: Array, way: Array) -> list[Array]:
 
 
 def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[Array]:
-    """Where the middle and the edges of the hand are that takes a box from a side [m]."""
+    """Return where the middle and the edges of the hand are that takes a box from a side [m]."""
     palm = middle + side * max(float(np.abs(side) @ half), FINGERS)
     across = np.array([-way[1], way[0], 0.0])
     thick = np.cross(side, across)
@@ -195,7 +198,7 @@ class TaskContext:
     # -- what hands can do with it ------------------------------------------------------------------------------------
 
     def cannot_take(self, name: str) -> tuple[Reason, ...]:
-        """Why no hand can pick a thing up where it is; empty where one can."""
+        """Return why no hand can pick a thing up where it is; empty where one can."""
         if name not in self.kept:
             self.kept[name] = tuple(self._taken(name))
         return self.kept[name]
@@ -214,7 +217,7 @@ class TaskContext:
         return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
 
     def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
-        """Why no hand holds a thing where it is in a state: from above or, with something over it, from an open side.
+        """Return why no hand holds an object in a state: from above or, with something over it, from an open side.
 
         ``ways`` are the approaches to look at; by default all that are free.
         """
@@ -247,7 +250,10 @@ class TaskContext:
         return (Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
-        """Why no hand gets to a thing between two corners in the world [m]; by inverse kinematics where it can be."""
+        """Return why no hand gets to a thing between two corners in the world [m].
+
+        By inverse kinematics where it can be.
+        """
         if lacks := self.too_far(name, low, high):
             return lacks
         solved = self.twin.robots.reach(low, high, approach.side.tolist(), approach.way.tolist())
@@ -258,7 +264,7 @@ class TaskContext:
         return ()
 
     def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
-        """Why what is between two corners in the world [m] is farther away than any hand reaches."""
+        """Return why what is between two corners in the world [m] is farther away than any hand reaches."""
         middle = ((low + high) / 2)[:2].tolist()
         miss = nearest_miss(self.hands, [math.dist(middle, hand.at) for hand in self.hands]) if self.hands else None
         if miss is None:

@@ -86,7 +86,7 @@ def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
-    """Where the free things of a task that stand on the ground may start: about where they are, clear of all others."""
+    """Return where the free objects of a task on the ground may start: about where they are, clear of all others."""
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
     hulls_of = {o.name: setting.bounds(o.name) for o in twin.scene.objects if o.name != twin.ground}
@@ -109,13 +109,13 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
 
 
 def _gap(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
-    """How far two boxes are apart along the ground, in the direction in which they are farthest [m]."""
+    """Return how far two boxes are apart along the ground, in the direction in which they are farthest [m]."""
     apart = np.maximum(low[:2] - other_high[:2], other_low[:2] - high[:2])
     return float(apart.max())
 
 
 def instruction_of(idea: Idea) -> str:
-    """What a policy is told: the steps in plain words."""
+    """Return what a policy is told: the steps in plain words."""
     words = [step.words for step in idea.steps]
     if len(idea.steps) == 1 and idea.steps[0].thing:
         thing = idea.things[0].replace("_", " ")
@@ -156,12 +156,12 @@ class Proposal:
 
     @property
     def accepted(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Return whether nothing speaks against it."""
         return not self.reasons
 
 
 class Proposals:
-    """What is proposed for a setting, ``found`` in order, of which no two accepted ones end in the same state."""
+    """Proposals for a scene, ``found`` in order; no two accepted ones end in the same state."""
 
     def __init__(self, setting: TaskContext) -> None:
         self.setting = setting
@@ -228,7 +228,7 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
 
 
 def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
-    """How often the same things were used together, and each of them as it is used here."""
+    """Return how often the same things were used together, and each of them as it is used here."""
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
@@ -236,7 +236,7 @@ SUFFIX = ".task.yaml"
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """How a document in ``out`` names a scene."""
+    """Return how a document in ``out`` names a scene."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 

@@ -54,7 +54,7 @@ class Idea:
 
     @property
     def things(self) -> tuple[str, ...]:
-        """What is carried."""
+        """Return what is carried."""
         return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
 
     @property
@@ -65,7 +65,7 @@ class Idea:
 
 @dataclass(frozen=True)
 class Affordances:
-    """What is there: things that a hand can take, what has a cavity, what has a level top, and what opens.
+    """Objects by what they afford: those a hand can take, those with a cavity or a level top, and joints that open.
 
     ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are the
     supports that have a cavity under their top, as a cabinet: on top of them is not in them.
@@ -79,7 +79,7 @@ class Affordances:
 
     @classmethod
     def of(cls, setting: TaskContext) -> Affordances:
-        """What the things of a scene afford, measured on their colliders."""
+        """Return what the things of a scene afford, measured on their colliders."""
         objects = setting.twin.scene.objects
         names = [
             o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
@@ -101,7 +101,7 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
+    """Return whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -112,7 +112,7 @@ def _hollow(setting: TaskContext, name: str) -> bool:
 
 
 def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
-    """Whether it has a level top or floor, and is as broad as a thing that others are put on."""
+    """Return whether it has a level top or floor, and is as broad as a thing that others are put on."""
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
@@ -141,7 +141,7 @@ def _is_broad(level: Support) -> bool:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Whether the highest level of an object is a top rather than a floor: it is in its upper half."""
+    """Return whether the highest level of an object is a top rather than a floor: it is in its upper half."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
@@ -176,7 +176,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Whether a joint moves the part that is named, or a part of the whole that is."""
+    """Return whether a joint moves the part that is named, or a part of the whole that is."""
     owner, _, part = target.partition(".")
     if joint.partition(".")[0] != owner:
         return False
@@ -218,7 +218,7 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Whether things are no broader than what they go into or onto; a first look, not a proof."""
+    """Return whether things are no broader than what they go into or onto; a first look, not a proof."""
     low, high = setting.bounds(target)
     room = np.sort((high - low)[:2])
     if len(things) == 1:

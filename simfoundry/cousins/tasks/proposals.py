@@ -54,7 +54,7 @@ def propose_tasks(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """What a model proposes for a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
+    """Ask a model for tasks in a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
 
     ``include`` are objects that each task should be about, ``exclude`` those that none may. Raises ``VlmError`` where
     the model gives no answer.
@@ -272,7 +272,9 @@ class TaskCousin:
     engines: tuple[str, ...] = ("mujoco",)
 
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
-        """Why it is no task in a scene as it stands: done already, or its things out of reach; empty where it is one.
+        """Return why it is no task in a scene as it stands: done already, or its things out of reach.
+
+        Empty where it is one.
 
         That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
         them is among the ``others``, which are not the twin's.

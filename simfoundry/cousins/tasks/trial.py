@@ -34,7 +34,7 @@ ASTRAY = (0.0023, 0.0017)
 
 
 class Rest(NamedTuple):
-    """Where everything came to rest; ``why`` not, empty where it did and nothing else was disturbed."""
+    """The state in which everything rests; ``why`` not, empty if it does and nothing else was disturbed."""
 
     state: SceneState
     why: str = ""
@@ -43,7 +43,7 @@ class Rest(NamedTuple):
 def dropped(
     setting: TaskContext, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
 ) -> Pose:
-    """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], first touches what it comes down on.
+    """Return where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], first touches what it comes down on.
 
     Raises :class:`~simfoundry.scene.place.PlaceError` where it misses it or does not fit.
     """
@@ -64,7 +64,7 @@ def dropped(
 
 
 def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
-    """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], stands on a level of an object.
+    """Return where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], stands on a level of an object.
 
     Raises :class:`~simfoundry.scene.place.PlaceError` where it would stand out of the level or meet the object.
     """
@@ -120,7 +120,7 @@ def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
-    """Why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does.
+    """Return why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does.
 
     Each time in a world of its own: PyBullet remembers contacts over a reset, and what was tried before must not tell.
     Raises MissingEngineError for an engine that is not installed.
@@ -138,7 +138,7 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
 
 
 def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
-    """Where a joint is ``Open`` or ``Closed`` [rad or m]: an end of its way; None where it is so at neither."""
+    """Return where a joint is ``Open`` or ``Closed`` [rad or m]: an end of its way; None where it is so at neither."""
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):
         state = turned(setting, owner, joint, end, {}, twin.state)

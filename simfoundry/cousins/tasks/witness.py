@@ -56,7 +56,7 @@ class Witness:
 
 @dataclass
 class _Attempt:
-    """What is being tried: the state so far, what links hold, what was opened, and what is barred of which thing."""
+    """An attempt: the state so far, what links hold, what was opened, and what is barred of which object."""
 
     state: SceneState
     held: dict[str, str] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class _Attempt:
     barred: list[tuple[str, Any]] = field(default_factory=list)
 
     def asked(self, name: str, calls: list[Call]) -> Any:
-        """What is asked of a thing where it is put: that ``calls`` hold, and nothing that is barred of it."""
+        """Return what is asked of a thing where it is put: that ``calls`` hold, and nothing that is barred of it."""
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
@@ -109,7 +109,7 @@ def _made(setting: TaskContext, goal: Any, way: list[Call]) -> Witness | tuple[R
 
 
 def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
-    """What must not hold wherever a goal is true, each with the object that it says something of first."""
+    """Yield what must not hold wherever a goal is true, each with the object that it says something of first."""
     tag, below = parts(goal)
     if tag == "all":
         for item in below:
@@ -231,7 +231,7 @@ def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[Scene
 
 @dataclass
 class _Tried:
-    """How often a thing was put somewhere, and settled; the best margin and why it was not enough.
+    """Counts of how often an object was put somewhere and settled; the best margin and why it was not enough.
 
     ``far`` is why no hand gets to where it did come true, ``unreached`` those places to a centimetre [m].
     """
@@ -296,7 +296,7 @@ def _settled(
 
 
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
-    """Where a thing may lie: it comes down from above, and then stands on each level that the target has."""
+    """Yield where a thing may lie: it comes down from above, and then stands on each level that the target has."""
     target, within = _carrier(setting, name, calls)
     for xy, q in _ways(setting, attempt, name, calls[0]):
         yield partial(dropped, setting, name, target, within, xy, q, attempt.state)

@@ -115,7 +115,7 @@ def plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt]
 
 
 def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
-    """Whether the hand alone has room to come, and to close."""
+    """Return whether the hand alone has room to come, and to close."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, grasp.open)
     if cell.hand_clash(robot, grasp.X_WH, gap=0.001):
@@ -157,7 +157,7 @@ def _reached(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> PickPlan
 
 
 def _can_put(planner: ArmPlanner, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
-    """Whether the hand can be where it lets a thing go, and just above."""
+    """Return whether the hand can be where it lets a thing go, and just above."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
     posture = planner.arm.solve_any(X_WH, q, planner.rng)
     if posture is None:

@@ -49,7 +49,7 @@ class LeadPlan:
 
 @dataclass(frozen=True, eq=False)
 class _Leading:
-    """What is led: a joint of an item in a state, from ``now`` to ``goal`` [rad or m]."""
+    """A joint of an item to be led in a state, from ``now`` to ``goal`` [rad or m]."""
 
     item: SceneObject
     state: SceneState
@@ -67,7 +67,7 @@ def joint_of(item: SceneObject, name: str) -> Joint:
 
 
 def ends(joint: Joint) -> tuple[float, float]:
-    """Where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
+    """Return where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
     if joint.limits is None:
         raise FailedError(f"joint {joint.name} has no end, so it neither opens nor closes")
     low, high = joint.limits
@@ -176,7 +176,7 @@ def _along(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Pa
 
 
 def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:
-    """How what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
+    """Return how what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
     here = object_at(item, state)
     X_OC = link_poses(here, {**state.of_object(item), joint.name: now})[joint.child]
     X_OD = link_poses(here, {**state.of_object(item), joint.name: then})[joint.child]

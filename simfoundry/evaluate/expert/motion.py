@@ -45,7 +45,7 @@ NODES, STRIDE = 1500, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """What a hand holds, and how: ``X_HO``."""
+    """An object in a hand, and its pose ``X_HO`` there."""
 
     name: str
     X_HO: Pose
@@ -61,7 +61,7 @@ class ArmPlanner:
     def clear(
         self, q: Array, share: float, held: Held | None = None, gap: float = GAP, ignore: Iterable[str] = ()
     ) -> bool:
-        """Whether a posture touches nothing."""
+        """Return whether a posture touches nothing."""
         self.cell.pose(self.name, q, share)
         moving = [self.name]
         if held is not None:
@@ -122,7 +122,7 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
 
 
 def _straight(a: Array, b: Array, free: object) -> bool:
-    """Whether every posture between two is free; the first is taken to be."""
+    """Return whether every posture between two is free; the first is taken to be."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))  # type: ignore[operator]
 
@@ -251,7 +251,7 @@ class PlanningScene:
         mujoco.mj_collision(self._model, self._data)
 
     def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
-        """Whether a hand without its arm, and what it holds, would come nearer to anything than ``gap`` [m].
+        """Return whether a hand without its arm, and what it holds, would come nearer to anything than ``gap`` [m].
 
         Much cheaper than to find out how the arm gets there. The fingers are as they were posed last.
         """
@@ -295,7 +295,9 @@ class PlanningScene:
         return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
 
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
-        """What the robots and objects that are ``moving`` together come nearer to than ``gap`` [m]; None if nothing.
+        """Return what the robots and objects that are ``moving`` together come nearer to than ``gap`` [m].
+
+        None if nothing.
 
         What they touch of each other and of ``ignore`` does not count.
         """

@@ -53,7 +53,7 @@ class PlaceAt:
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """What is to carry a thing: an object, or its link of index ``link``, among what else moves.
+    """A carrier: an object, or its link of index ``link``, among what else moves.
 
     ``part`` is what carries, up to the height ``top`` [m]; ``walls`` are its colliders.
     """
@@ -137,7 +137,7 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
 
 
 def _walled(walls: HalfSpaces, foot: Array) -> bool:
-    """Whether a point at the foot of a thing has walls on most sides, there or a little higher."""
+    """Return whether a point at the foot of a thing has walls on most sides, there or a little higher."""
     angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
     rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
     return any(met(walls, foot + height * UP, rays).sum() >= WALLED for height in (0.001, 0.01, 0.02))
@@ -197,7 +197,7 @@ def _long_axis(item: SceneObject) -> int | None:
 
 
 def _rest(held: Hulls, whole: Hulls, link: int | None) -> float | None:
-    """How far a thing is lifted when it comes down on the target [m]; None where it meets another part first."""
+    """Return how far a thing is lifted when it comes down on the target [m]; None where it meets another part first."""
     touching = heights(held, whole)
     lift = float(touching.max())
     if not math.isfinite(lift):

@@ -23,7 +23,7 @@ from simfoundry.spec.models.expressions import Call, Condition, parse_call, part
 
 
 class Skill(StrEnum):
-    """What hands can do."""
+    """The skills of hands."""
 
     PICK = "pick"
     PUT_ON = "put on"
@@ -65,20 +65,20 @@ class HasGoal(Protocol):
 
 
 def steps(goal: Condition, subtasks: Mapping[str, HasGoal]) -> tuple[ExpertStep, ...]:
-    """What to do, in order: for each sub-task, and then for what the goal asks beyond them."""
+    """Return what to do, in order: for each sub-task, and then for what the goal asks beyond them."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
 
 
 def goal_steps(goal: Condition) -> tuple[ExpertStep, ...]:
-    """What the goal itself asks for."""
+    """Return what the goal itself asks for."""
     found = tuple(_of(goal))
     return tuple(step for step in found if not _leads_to(step, list(found)))
 
 
 def _leads_to(step: ExpertStep, later: list[ExpertStep]) -> bool:
-    """Whether a later step takes the thing up itself."""
+    """Return whether a later step takes the thing up itself."""
     return step.skill is Skill.PICK and any(s.skill in PUTS and s.args[0] == step.args[0] for s in later)
 
 
@@ -119,12 +119,12 @@ class ExpertPolicy:
 
     @property
     def name(self) -> str:
-        """What reports call it."""
+        """Return what reports call it."""
         return "expert"
 
     @property
     def action_space(self) -> ActionSpace:
-        """What the arm's numbers mean."""
+        """Return what the arm's numbers mean."""
         return ActionSpace.JOINT_POSITION
 
     @property
