@@ -15,6 +15,7 @@ from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, read
 
 MAX_BASES = 16
+"""Documents in a chain of `extends`: the bound keeps hostile input from being read without end."""
 
 EXCLUSIVE = (
     ("shape", "asset"),

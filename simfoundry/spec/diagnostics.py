@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 SHOWN = 160
-"""How many columns of a line are shown."""
+"""Columns of a source line that are shown: a wide terminal."""
 
 
 class Severity(StrEnum):

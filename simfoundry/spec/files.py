@@ -12,6 +12,7 @@ MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 ASSET_SUFFIX = ".asset.yaml"
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
+"""Characters of a file reference: far below the 4096 of Linux, so that a project folder fits before it."""
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")

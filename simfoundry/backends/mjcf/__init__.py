@@ -45,7 +45,7 @@ from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
-from simfoundry.backends.names import check_names
+from simfoundry.backends.names import InvalidSceneError, check_names
 from simfoundry.backends.robot_models.robot_urdf import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
@@ -69,10 +69,10 @@ def compile_mjcf(
 
     With ``cylinder_sides`` of three or more, cylinders collide as prisms of so many sides, for readers that collide no
     cylinders. ``contacts`` is `exact` or `native`; native leaves out the pairs: MuJoCo then takes the larger friction
-    of two surfaces. Raises :class:`InvalidSceneError` for unusable names, and ValueError for other contacts.
+    of two surfaces. Raises :class:`InvalidSceneError` for unusable names and for other contacts.
     """
     if contacts not in (EXACT, NATIVE):
-        raise ValueError(f"contacts are `{EXACT}` or `{NATIVE}`, not `{contacts}`")
+        raise InvalidSceneError(f"the option `contacts` is `{EXACT}` or `{NATIVE}`, not `{contacts}`")
     check_names(scene)
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []

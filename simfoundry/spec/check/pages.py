@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "findings"
+"""Markdown pages, one for each code."""
 
 GROUPS = {
     "SF0": "Files and their text",

@@ -17,6 +17,7 @@ from simfoundry.spec.yaml.text import Document, Path_
 M = TypeVar("M", bound=Model)
 
 MAX_FINDINGS = 200
+"""Findings of each kind of check per document: more than anyone reads; they bound the output for hostile input."""
 
 _CODES = {
     "missing": "SF102",

@@ -36,6 +36,7 @@ _FIRST = (
 )
 """Fields of bodies and documents that people look for come first; the others follow in the order of their model."""
 _LAST = ("allow", "conflicts")
+"""Fields that come last."""
 _RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fromkeys(_LAST, 1)
 
 

@@ -14,6 +14,7 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
 DIGITS = 6
+"""Decimals of a number: micrometres and milligrams, finer than any capture measures."""
 LARGE = 1e15
 """From here on numbers are written with an exponent."""
 

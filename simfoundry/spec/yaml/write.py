@@ -16,6 +16,8 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
 
 WIDTH = 110
+"""Columns of a line: two documents fit side by side in a diff on a wide screen."""
+
 MAX_KEY = 1000
 """Longer keys need a question mark before them: YAML looks no further for their colon."""
 NEIGHBOURS = 24

@@ -14,10 +14,10 @@ from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.write import number
 
 LONGEST = 48
-"""How much of a text is shown."""
+"""Characters of a text that are shown, so that two of them fit on a line of changes."""
 
 FEW = 4
-"""Longer lists of numbers are not written out."""
+"""Longest list of numbers that is written out: a quaternion."""
 
 FREE_TEXTS = ("description", "instruction", "note")
 """Fields that hold sentences."""

@@ -12,7 +12,7 @@ from simfoundry.spec.change.diff.renames import Rename, renamed, same
 from simfoundry.spec.models.base import Model
 
 WIDTH = 100
-"""A thing whose changes are longer than this has them on lines of their own."""
+"""Columns of a line of changes; a member with more has each change on its own line."""
 
 _NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
 """Sections whose members are shown one by one, in this order; what else a document says comes between."""

@@ -18,7 +18,7 @@ LOOKUP_S = 2.0
 """Longest time [s] that git may take to find where a blob lay: `git log -p` asks for every document of every commit."""
 
 MAX_STATES = 5000
-"""Where more commits than this changed the documents, it is not found out which of them are meant."""
+"""Commits that changed the documents, beyond which the search is given up: each takes a look-up for every document."""
 
 Row = tuple[str | None, ...]
 """The blobs of some paths in one state of the repository."""

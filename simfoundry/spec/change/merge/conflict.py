@@ -23,6 +23,7 @@ ABSENT = Absent.ABSENT
 _PART = re.compile(r'"(?:[^"\\]|\\.)*"|[^."]+')
 _AGAIN = re.compile(r" #[0-9]+\Z")
 _SHOWN = 60
+"""Characters of a value in a message: both sides fit into 160 columns with their path."""
 
 
 @dataclass(frozen=True)
