@@ -139,6 +139,7 @@ class _MjcfReader:
         self.data = mujoco.MjData(model)
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
+            mujoco.mj_normalizeQuat(model, self.data.qpos)  # one without a length is the identity there
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
