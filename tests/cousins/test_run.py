@@ -121,7 +121,7 @@ def test_a_line_that_is_none_is_an_error_with_its_place(tmp_path: Path) -> None:
     made(plan(tmp_path / "a"))
     file = log_file(tmp_path / "a", None)
     file.write_bytes(b"{}\n" + file.read_bytes())
-    with pytest.raises(OutputError, match=r"log\.jsonl:1 is no line of a log"):
+    with pytest.raises(OutputError, match=r"log\.jsonl:1 is not a line of a log"):
         run(plan(tmp_path / "a"), lambda: Here(work()))
 
 
