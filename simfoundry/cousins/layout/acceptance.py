@@ -169,7 +169,8 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
             continue
         result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
-            text = f"no arm can get down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"
+            text = f"no arm can get down to `{name}` from above: it is {result.away:.2f} m from the base of "
+            text += f"`{result.robot}`"
             yield Reason("out_of_reach", text, _numbers(away_m=result.away))
 
 
