@@ -71,11 +71,11 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         cache: bool = True,
     ) -> None:
         if not is_world(engine):
-            raise SimfoundryError(f"unknown engine `{engine}`; available: {', '.join(world_names())}")
+            raise SimfoundryError(f"no engine `{engine}`; there are: {', '.join(world_names())}")
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise SimfoundryError(f"unknown render mode `{render_mode}`; available: rgb_array")
+            raise SimfoundryError(f"no render mode `{render_mode}`; there is: rgb_array")
         if action_space not in list(ActionSpace):
-            raise SimfoundryError(f"unknown action space `{action_space}`; available: {', '.join(ActionSpace)}")
+            raise SimfoundryError(f"no action space `{action_space}`; there are: {', '.join(ActionSpace)}")
         self._cache = Cache.default() if cache else None
         self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
         need_robots(self._whole)
@@ -101,7 +101,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         options = options or {}
         unknown = sorted(set(options) - {"start", "subtask", "reset_mask"})
         if unknown:
-            raise SimfoundryError(f"reset has no option `{unknown[0]}`; available: start, subtask")
+            raise SimfoundryError(f"reset has no option `{unknown[0]}`; there are: start, subtask")
         self._now = self._opened(str(options.get("subtask") or ""))
         k = options.get("start")
         k = int(self.np_random.integers(self._count)) if k is None else int(k)

@@ -54,10 +54,10 @@ def propose_tasks(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """Ask a model for tasks in a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
+    """Ask a model for tasks in a scene shown in a ``picture`` (PNG or JPEG), each with any reasons for refusal.
 
-    ``include`` are objects that each task should be about, ``exclude`` those that none may. Raises ``VlmError`` where
-    the model gives no answer.
+    Each task should involve one of the objects ``include``, and must not involve those in ``exclude``. Raises
+    ``VlmError`` if the model gives no answer.
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]

@@ -46,7 +46,7 @@ def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
     if answer.ndim != 2:
         raise InvalidAnswerError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
     if answer.shape[1] != width:
-        message = f"{spec.name} answered with {answer.shape[1]} numbers for each action, and the robots take {width}"
+        message = f"{spec.name} answered with {answer.shape[1]} numbers per action, but the robots take {width}"
         raise InvalidAnswerError(f"{message}: {words}")
     if len(answer) < spec.horizon:
         message = f"{spec.name} answered with {len(answer)} actions, but its `horizon` is {spec.horizon}"

@@ -35,7 +35,7 @@ def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
         if image is None:
             known = ", ".join(f"`{name}`" for name in observation.images) or "none"
             message = f"there is no image of the camera `{view.camera}`, which {spec.name} needs as `{key}`"
-            raise PolicyError(f"{message}; available: {known}")
+            raise PolicyError(f"{message}; there are: {known}")
         found[key] = resize_with_pad(image, ImageSize(*view.size))
     return found
 
