@@ -217,7 +217,7 @@ def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
     source = Generation(Never(), Painter(), Sculptor(), small(), small())
     refused = source(item("cup"), ObjectVariants(sources=("model",)), 0, 0)
     assert isinstance(refused, Reason) and refused.code == "picture"
-    assert refused.text == "body, a wider body: not reasonable in 3 pictures: too shiny"
+    assert refused.text == "body, a wider body: no reasonable image in 3 attempts: too shiny"
     beyond = source(item("cup"), ObjectVariants(sources=("model",)), 0, 99)
     assert isinstance(beyond, Reason) and beyond.text.startswith("the model proposed 4 changes")
 

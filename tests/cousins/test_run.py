@@ -101,7 +101,7 @@ def test_more_cousins_go_on_from_those_that_are_there(tmp_path: Path) -> None:
     assert {k: v for k, v in after.items() if k in before and k.endswith(".scene.yaml")} == {
         k: v for k, v in before.items() if k.endswith(".scene.yaml")
     }
-    with pytest.raises(OutputError, match="20 documents of more cousins than the 10"):
+    with pytest.raises(OutputError, match="20 documents of cousins beyond the 10"):
         made(plan(tmp_path / "a", wanted=10))
 
 

@@ -394,11 +394,11 @@ def test_what_is_shut_in_cannot_be_taken(tmp_path: Path) -> None:
         ("Closed(cabinet.drawer)", "already_true", "0.0%"),
         ("Inside(block, ball)", "impossible", "no cavity"),
         ("Inside(cabinet, bowl)", "too_heavy", "lifts 2 kg"),
-        ("OnTop(ball, block)", "impossible", "ways to put `ball` (6.7 x 6.7 x 6.7 cm)"),
+        ("OnTop(ball, block)", "impossible", "placements of `ball` (6.7 x 6.7 x 6.7 cm)"),
         ("Open(bowl)", "impossible", "bowl"),
         ("At(block, 1.3, 0)", "out_of_reach", "reaches 0.855 m"),
         ("Lifted(wide)", "too_wide", "fingers open"),
-        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not come true"),
+        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not become true"),
     ],
 )
 def test_refused(setting: TaskContext, goal: object, code: str, said: str) -> None:

@@ -218,9 +218,8 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)
     groups = dict.fromkeys(idea.about for idea in every)
-    draw = dict(
-        zip(groups, rng.random(len(groups)).tolist(), strict=True)
-    )  # ideas about the same objects keep their order
+    # Ideas about the same objects share a draw, so they keep their order.
+    draw = dict(zip(groups, rng.random(len(groups)).tolist(), strict=True))
     used: Counter[str] = Counter()
     for odd in sorted({idea.odd for idea in every}):
         left = [idea for idea in every if idea.odd == odd]

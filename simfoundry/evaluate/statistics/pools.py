@@ -26,9 +26,8 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
     if origin is None or origin.cousin is None:
         return None
     scene = task.setup.scene
-    own = (
-        (read(scene.path).data.get("objects") or {}) if scene.bases else {}
-    )  # its own entries, without those of its bases
+    # The document's own entries, without those of its bases.
+    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}
     known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
     axes = set()
     for name, fields in own.items():
