@@ -97,7 +97,7 @@ def mesh_colliders(
     how: str,
     cache: Cache | None = None,
     name: str = "the mesh",
-    report: Callable[[str], object] = lambda said: None,
+    report: Callable[[str], object] = lambda message: None,
 ) -> Colliders:
     """Colliders of a welded mesh: its ``hull``, convex parts of it (``decompose``), or ``auto``, whichever suits it.
 

@@ -39,7 +39,7 @@ SETTINGS: dict[str, float | int] = {
 
 
 def decompose(
-    name: str, vertices: Array, faces: Faces, report: Callable[[str], object] = lambda said: None
+    name: str, vertices: Array, faces: Faces, report: Callable[[str], object] = lambda message: None
 ) -> list[Array]:
     """The corners [m] of the convex pieces of a welded, closed mesh, each of shape (n, 3).
 
@@ -47,10 +47,10 @@ def decompose(
     mesh where CoACD fails.
     """
     try:
-        said = f"cutting {name} into convex parts"
-        report(said)
+        message = f"cutting {name} into convex parts"
+        report(message)
         pieces: list[Array] = _worker().call(
-            FUNCTION, vertices, faces, wait=lambda seconds: report(f"{said}, {seconds:.0f} s")
+            FUNCTION, vertices, faces, wait=lambda seconds: report(f"{message}, {seconds:.0f} s")
         )
     except WorkerError as error:
         hint = "repair or simplify the mesh, or write `collision: hull`"

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 ON_MESH, ON_PARTS = 20_000, 4_000
-"""Points that are compared, on the mesh and on the parts: of a thing of 20 cm the former are about 1 mm apart."""
+"""Points that are compared, on the mesh and on the parts: of an object of 20 cm the former are about 1 mm apart."""
 
 NEIGHBOURS = 8
 """Samples beside a point by whose triangles its distance is bounded."""

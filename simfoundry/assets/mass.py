@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class SolidMoments:
     """A solid of density 1.
 
     ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the centre of mass, shape (3, 3).
@@ -22,9 +22,9 @@ class Solid:
     com: Array
     inertia: Array
 
-    def moved(self, rotation: Array, translation: Array) -> Solid:
+    def moved(self, rotation: Array, translation: Array) -> SolidMoments:
         """The same solid in a frame where its own is rotated (3, 3) and translated (3,)."""
-        return Solid(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
+        return SolidMoments(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
 
 
 def _diagonal(xx: float, yy: float, zz: float) -> Array:
@@ -32,44 +32,46 @@ def _diagonal(xx: float, yy: float, zz: float) -> Array:
     return np.array([[xx, 0.0, 0.0], [0.0, yy, 0.0], [0.0, 0.0, zz]])
 
 
-def box(size: Array) -> Solid:
+def box(size: Array) -> SolidMoments:
     """A box of full extents ``size`` [m], centred."""
     x, y, z = (float(v) for v in size)
     volume = x * y * z
-    return Solid(volume, np.zeros(3), volume / 12 * _diagonal(y * y + z * z, x * x + z * z, x * x + y * y))
+    return SolidMoments(volume, np.zeros(3), volume / 12 * _diagonal(y * y + z * z, x * x + z * z, x * x + y * y))
 
 
-def sphere(radius: float) -> Solid:
+def sphere(radius: float) -> SolidMoments:
     """A sphere, centred."""
     volume = 4 / 3 * math.pi * radius**3
     moment = 0.4 * volume * radius**2
-    return Solid(volume, np.zeros(3), _diagonal(moment, moment, moment))
+    return SolidMoments(volume, np.zeros(3), _diagonal(moment, moment, moment))
 
 
-def cylinder(radius: float, height: float) -> Solid:
+def cylinder(radius: float, height: float) -> SolidMoments:
     """A cylinder along z, centred."""
     volume = math.pi * radius**2 * height
     across = volume * (3 * radius**2 + height**2) / 12
-    return Solid(volume, np.zeros(3), _diagonal(across, across, volume * radius**2 / 2))
+    return SolidMoments(volume, np.zeros(3), _diagonal(across, across, volume * radius**2 / 2))
 
 
-def capsule(radius: float, height: float) -> Solid:
-    """A capsule along z, centred; ``height`` is that of the cylindrical part."""
+def capsule(radius: float, height: float) -> SolidMoments:
+    """Return a capsule along z, centred; ``height`` is that of the cylindrical part."""
     tube = cylinder(radius, height)
     caps = 4 / 3 * math.pi * radius**3
     # Two half spheres; the centre of mass of each lies 3/8 of the radius above its disc.
     across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
-    return Solid(tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2))
+    return SolidMoments(
+        tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
+    )
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 """Gauss-Legendre nodes and weights on [-1, 1]: with three, polynomials up to degree 5 are integrated exactly."""
 
 
-def revolution(profile: Array) -> Solid:
+def revolution(profile: Array) -> SolidMoments:
     """The solid that a closed polygon of (radius, height) [m], shape (n, 2), makes when it is turned about z.
 
-    By Pappus and Guldin the volume is the area times the way of its centroid, 2 pi times the integral of the radius
+    By Pappus and Guldin the volume is the area times the path of its centroid, 2 pi times the integral of the radius
     over the polygon; the moments are integrals of the same kind. Along an edge their integrands are polynomials of at
     most degree 4, so that the sum over the edges is exact.
     """
@@ -87,25 +89,25 @@ def revolution(profile: Array) -> Solid:
     volume, lever, square, spin = (sign * integral(v) for v in (r**2 / 2, z * r**2 / 2, z**2 * r**2 / 2, r**4 / 4))
     middle = lever / volume
     across = spin / 2 + square - volume * middle**2
-    return Solid(volume, np.array([0.0, 0.0, middle + origin]), _diagonal(across, across, spin))
+    return SolidMoments(volume, np.array([0.0, 0.0, middle + origin]), _diagonal(across, across, spin))
 
 
-def mesh(vertices: Array, faces: NDArray[np.int32]) -> Solid:
+def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
     """A closed surface as a solid, by signed tetrahedra; the volume is negative where the surface is inside out."""
     origin = vertices.mean(axis=0)  # tetrahedra from nearby lose less to rounding
     a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
     if volume == 0.0:
-        return Solid(0.0, origin.copy(), np.zeros((3, 3)))
+        return SolidMoments(0.0, origin.copy(), np.zeros((3, 3)))
     com = ((a + b + c) * volumes[:, None]).sum(axis=0) / 4 / volume
     total = a + b + c
     second = sum(np.einsum("i,ij,ik->jk", volumes, p, p) for p in (a, b, c, total)) / 20
     second = second - volume * np.outer(com, com)
-    return Solid(volume, origin + com, np.trace(second) * np.eye(3) - second)
+    return SolidMoments(volume, origin + com, np.trace(second) * np.eye(3) - second)
 
 
-def combine(parts: list[tuple[float, Solid]]) -> tuple[float, Array, Array]:
+def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
     """Mass, centre of mass and inertia about it of parts, each with its density [kg/m^3]."""
     if len(parts) == 1:  # its centre is its own, to the last digit
         density, solid = parts[0]

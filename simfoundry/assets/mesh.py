@@ -238,8 +238,8 @@ def _lines(path: Path, start: bytes) -> int:
 def _ply(path: Path) -> tuple[int, int]:
     with path.open("rb") as stream:
         head = stream.read(PLY_HEAD).partition(b"end_header")[0]
-    said = {name: int(count) for name, count in PLY_ELEMENT.findall(head) if count.isdigit() and len(count) < 40}
-    return said.get(b"face", 0), said.get(b"vertex", 0)
+    counts = {name: int(count) for name, count in PLY_ELEMENT.findall(head) if count.isdigit() and len(count) < 40}
+    return counts.get(b"face", 0), counts.get(b"vertex", 0)
 
 
 def _glb(path: Path) -> tuple[int, int]:

@@ -24,7 +24,7 @@ from simfoundry.assets.errors import (
 )
 
 if TYPE_CHECKING:
-    from simfoundry.assets.mass import Solid
+    from simfoundry.assets.mass import SolidMoments
 
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull, or as a primitive."""
@@ -64,16 +64,16 @@ class MeshFacts:
         """Return whether the mesh certainly collides as its hull."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
-    def solid(self, scale: float, of_hull: bool) -> Solid:
+    def solid(self, scale: float, of_hull: bool) -> SolidMoments:
         """The solid of density 1 of the mesh, or of its hull, read with a scale."""
         import numpy as np
 
-        from simfoundry.assets.mass import Solid
+        from simfoundry.assets.mass import SolidMoments
 
         x, y, z, xx, yy, zz, xy, xz, yz = self.hull_moments if of_hull else self.moments
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         volume = self.hull_volume if of_hull else self.volume
-        return Solid(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
+        return SolidMoments(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
         """Return the fault that lowering finds in the file ``name``, read with ``scale``, as a body of these fields.
@@ -106,7 +106,7 @@ def _unreadable(path: Path, error: OSError) -> MeshError:
 
 @lru_cache(maxsize=4096)
 def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
-    """The facts of a file of this size [B], changed at this time [ns]; many things are made of one mesh."""
+    """The facts of a file of this size [B], changed at this time [ns]; many objects share one mesh."""
     size, _ = version
     if size > MAX_BYTES:
         raise too_large(path.name, size)
@@ -175,7 +175,7 @@ def measure(path: Path) -> MeshFacts:
     return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 
 
-def _moments(solid: Solid | None) -> Moments:
+def _moments(solid: SolidMoments | None) -> Moments:
     if solid is None or not solid.volume:
         return ZERO_MOMENTS
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (solid.inertia * (1 if solid.volume > 0 else -1)).tolist()

@@ -64,13 +64,13 @@ def _faults(path: Path, root: Path | None) -> Iterator[str]:
             continue
         plain = unquote(name.removeprefix("file://")).replace("\\", "/")
         file = owner.parent / plain
-        said = f"{owner.name} names the texture {name}"
+        message = f"{owner.name} names the texture {name}"
         if Path(plain).is_absolute() or (root is not None and not file.resolve().is_relative_to(root.resolve())):
-            yield f"{said}, which lies outside of the project"
+            yield f"{message}, which lies outside of the project"
         elif not file.is_file():
-            yield f"{said}, which does not exist"
+            yield f"{message}, which does not exist"
         elif not _is_picture(file):
-            yield f"{said}, which is no picture that can be read"
+            yield f"{message}, which is no picture that can be read"
 
 
 def _pictures(path: Path) -> Iterator[tuple[Path, str]]:

@@ -49,7 +49,7 @@ class ImportNoteKind(StrEnum):
 
 @dataclass(frozen=True)
 class ImportNote:
-    """One thing that could not be taken over as it stood.
+    """One element that could not be taken over unchanged.
 
     ``what`` names it in the file, ``why`` is the same for everything of that kind, ``detail`` is that of this one.
     """
@@ -79,7 +79,7 @@ class MeshDraft:
 
 @dataclass
 class ContactDraft:
-    """Contact parameters of a part or a link; None where nothing is said. ``torsional`` and ``rolling`` in metres."""
+    """Contact parameters of a part or a link; None where nothing is stated. ``torsional`` and ``rolling`` in metres."""
 
     friction: float | None = None
     restitution: float | None = None

@@ -50,7 +50,7 @@ def refusing_faults(file: Path) -> Iterator[None]:
     except ValidationError as error:  # documents state the values of the file unchanged, and refuse some
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot say that: {first['msg']}"
+        message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot hold that: {first['msg']}"
         raise ImportRefusedError(file, message, _line(file, error), "check its numbers and names") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno is not None:

@@ -58,7 +58,7 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
     low, high = joint.limits
     target = joint.drive.target if joint.drive is not None else None
     if target is not None and not low <= target <= high:
-        why = "it pulls to a place beyond the limits of its joint, which cannot be said"
+        why = "it pulls to a place beyond the limits of its joint, which cannot be expressed"
         draft.dropped(f"drive of joint `{joint.name}`", why, f"to {target:.4g}")
         joint.drive = None
     if not low <= joint.position <= high:
@@ -191,8 +191,8 @@ def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bo
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
     if not is_static:
-        said = f"{draft.density:g} kg/m^3 over its shapes, as you said" if draft.density else usual
-        draft.assumed(f"mass of `{link.name}`", f"none is given; {said}")
+        reason = f"{draft.density:g} kg/m^3 over its shapes, as --density gives it" if draft.density else usual
+        draft.assumed(f"mass of `{link.name}`", f"none is given; {reason}")
 
 
 def _mass_below(body: BodyDraft, link: str) -> float:

@@ -97,7 +97,7 @@ def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> 
     regions: dict[str, list[str]] = {}
     goal = _libero_goal(spec, regions, export) if is_libero else _behavior_goal(spec.goal, names, export)
     if not goal:
-        raise TaskExportError("nothing of the goal can be said in this format")
+        raise TaskExportError("nothing of the goal can be expressed in this format")
     init = list(_libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export))
     # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
     name = "LIBERO_Tabletop_Manipulation" if is_libero else f"{spec.name or 'task'}-0"
@@ -141,24 +141,24 @@ def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
 
 
 def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExport) -> str:
-    said = []
+    texts = []
     for call, wanted in atoms(spec.goal):
         if call.predicate in _UNSAID:
             export.notes.append(f"{call}: the format asks nothing of the gripper")
         elif call.predicate not in _LIBERO or not wanted:
             raise TaskExportError(f"LIBERO has no predicate for `{'' if wanted else 'not '}{call}`")
         else:
-            said.append(f"({_LIBERO[call.predicate]} {' '.join(_region(arg, regions) for arg in call.args)})")
-    return f"(And {' '.join(said)})" if said else ""
+            texts.append(f"({_LIBERO[call.predicate]} {' '.join(_region(arg, regions) for arg in call.args)})")
+    return f"(And {' '.join(texts)})" if texts else ""
 
 
 def _region(name: str, regions: dict[str, list[str]]) -> str:
     """The word for an object, or for a part of one, which is a region of it."""
-    thing, dot, part = name.partition(".")
+    item, dot, part = name.partition(".")
     if not dot:
-        return thing
-    regions[name] = [f"({part}_region (:target {thing}))"]
-    return f"{thing}_{part}_region"
+        return item
+    regions[name] = [f"({part}_region (:target {item}))"]
+    return f"{item}_{part}_region"
 
 
 def _behavior_goal(condition: Any, names: dict[str, str], export: TaskExport) -> str | None:
@@ -172,8 +172,8 @@ def _behavior_goal(condition: Any, names: dict[str, str], export: TaskExport) ->
             raise TaskExportError(f"BEHAVIOR has no predicate for `{call}`")
         atom = f"({_BEHAVIOR[call.predicate]} {' '.join('?' + names[arg] for arg in export.args(call))})"
         return f"(not {atom})" if call.predicate == "Closed" else atom
-    said = [text for text in (_behavior_goal(item, names, export) for item in below) if text]
-    return f"({_JOINED[tag]} {' '.join(said)})" if said else None
+    texts = [text for text in (_behavior_goal(item, names, export) for item in below) if text]
+    return f"({_JOINED[tag]} {' '.join(texts)})" if texts else None
 
 
 def _behavior_init(spec: TaskSpec, scene: Scene, names: dict[str, str], export: TaskExport) -> Iterator[str]:
@@ -197,9 +197,9 @@ def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], ex
             f"  (:ranges (({x0:.6g} {y0:.6g} {x1:.6g} {y1:.6g}))) (:yaw_rotation (({low:.6g} {high:.6g}))))",
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
-    for thing, joint in ((thing, joint) for thing, joints in spec.start.joints.items() for joint in joints):
-        export.notes.append(f"position of {thing}.{joint} at the start: the format says open, and not how far")
-        yield f"(Open {_region(f'{thing}.{joint}', regions)})"
+    for item, joint in ((item, joint) for item, joints in spec.start.joints.items() for joint in joints):
+        export.notes.append(f"position of {item}.{joint} at the start: the format says open, and not how far")
+        yield f"(Open {_region(f'{item}.{joint}', regions)})"
 
 
 # The authors' task YAML ----------------------------------------------------------------------------------------------

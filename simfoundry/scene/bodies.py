@@ -67,7 +67,7 @@ class BodyBuilder:
     is_approximate: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
-    solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
+    solids: list[tuple[str, float | None, mass.SolidMoments]] = field(default_factory=list)
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
 
@@ -156,7 +156,7 @@ class BodyBuilder:
             raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
         return link
 
-    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: PartSpec | None) -> None:
+    def _weigh(self, name: str, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
         self.solids.append((name, self._material(part).density, moved))
 

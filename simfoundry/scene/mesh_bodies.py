@@ -37,7 +37,7 @@ class MeshBody(NamedTuple):
     """
 
     pieces: tuple[MeshPart, ...] = ()
-    solid: mass.Solid | None = None
+    solid: mass.SolidMoments | None = None
     colliders: tuple[tuple[Geometry, Pose], ...] = ()
     error: float = 0.0
     is_approximate: bool = False
@@ -108,7 +108,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
             return Sphere(*primitive.size), Pose.of(primitive.centre)
 
 
-def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.Solid, Faces]:
+def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
     """The solid that carries the mass, and the faces turned outward."""
     if how == "hull":
         outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])

@@ -36,7 +36,7 @@ class ShapeBody(NamedTuple):
     """
 
     visual: Geometry
-    solid: mass.Solid
+    solid: mass.SolidMoments
     colliders: tuple[Geometry, ...]
     error: float = 0.0
 

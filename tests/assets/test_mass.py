@@ -34,7 +34,7 @@ def revolved(profile: list[tuple[float, float]], sides: int = 720) -> tuple[Arra
     return vertices, np.concatenate(faces).astype(np.int32)
 
 
-def assert_same(found: mass.Solid, expected: mass.Solid, rtol: float) -> None:
+def assert_same(found: mass.SolidMoments, expected: mass.SolidMoments, rtol: float) -> None:
     assert_allclose(found.volume, expected.volume, rtol=rtol)
     assert_allclose(found.com, expected.com, atol=1e-9)
     assert_allclose(found.inertia, expected.inertia, rtol=rtol, atol=rtol * float(np.trace(expected.inertia)))
@@ -153,6 +153,6 @@ def test_the_heavier_part_draws_the_centre() -> None:
 
 def test_masses_are_summed_exactly() -> None:
     """Python 3.12 sums floats in another way than 3.11; the same scene gives the same bytes in both."""
-    unit = mass.Solid(1.0, np.zeros(3), np.eye(3))
+    unit = mass.SolidMoments(1.0, np.zeros(3), np.eye(3))
     for densities in ([0.1] * 10, [1e16, 1.0, 1.0], [0.3, 0.2, 0.1, 1e-17]):
         assert mass.combine([(d, unit) for d in densities])[0] == math.fsum(densities)

@@ -26,10 +26,10 @@ Scope = Mapping[str, str]
 
 @dataclass
 class ConditionReader:
-    """Converts conditions: ``atom`` makes a predicate of its name and arguments, ``things`` are the objects by type."""
+    """Converts conditions: ``atom`` makes a predicate of its name and arguments, ``objects`` are by type."""
 
     atom: Callable[[BddlGroup, str, list[str]], Condition | None]
-    things: Mapping[str, Sequence[str]]
+    objects: Mapping[str, Sequence[str]]
     missing: list[str] = field(default_factory=list)
     terms: int = 0
 
@@ -105,11 +105,11 @@ class ConditionReader:
             return None
         if not self._affordable(group, len(found), count):
             return None
-        ways = [
+        choices = [
             self._joined("all", [one if k in chosen else negated(one) for k, one in enumerate(found)])
             for chosen in combinations(range(len(found)), count)
         ]
-        return self._joined("any", ways)
+        return self._joined("any", choices)
 
     def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
@@ -127,7 +127,7 @@ class ConditionReader:
         words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
-        return words[0].plain, self.things.get(words[2].plain, ())
+        return words[0].plain, self.objects.get(words[2].plain, ())
 
     def _number(self, group: BddlGroup) -> int | None:
         return int(group.head) if group.head.isdigit() and len(group.head) < 6 else None

@@ -13,7 +13,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 
 @dataclass(frozen=True)
 class BddlRegion:
-    """A part of a thing, or a rectangle on it.
+    """A part of an object, or a rectangle on it.
 
     ``ranges`` are (lowest x, lowest y, highest x, highest y) in the frame of ``target`` [m]; ``yaw`` is the lowest and
     the highest turn about z [rad]; both are None where the file gives none.
@@ -27,7 +27,7 @@ class BddlRegion:
 
 @dataclass(frozen=True)
 class BddlProblem:
-    """A problem: ``things`` are the types of all objects and fixtures by their names, ``regions`` by their long names.
+    """A problem: ``kinds`` are the types of all objects and fixtures by their names, ``regions`` by their long names.
 
     ``domain`` is ``robosuite`` for LIBERO and ``omnigibson`` (``igibson`` in older files) for BEHAVIOR.
     """
@@ -36,7 +36,7 @@ class BddlProblem:
     name: str
     domain: str
     language: str
-    things: Mapping[str, str]
+    kinds: Mapping[str, str]
     regions: Mapping[str, BddlRegion]
     interest: tuple[str, ...]
     init: tuple[BddlGroup, ...]
@@ -59,16 +59,16 @@ def read_problem(path: Path) -> BddlProblem:
     goal = sections[":goal"]
     if len(goal.groups) != 1:
         raise ImportRefusedError(path, "its goal is not one condition", goal.line)
-    things: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     for key in (":fixtures", ":objects"):
         if key in sections:
-            _read_things(path, sections[key], things)
+            _read_things(path, sections[key], kinds)
     return BddlProblem(
         file=path,
         name=_text(sections["problem"]) or path.stem,
         domain=_text(sections.get(":domain")).lower(),
         language=_text(sections.get(":language")),
-        things=things,
+        kinds=kinds,
         regions=_regions(path, sections.get(":regions")),
         interest=tuple(w.text for w in sections[":obj_of_interest"].words) if ":obj_of_interest" in sections else (),
         init=sections[":init"].groups if ":init" in sections else (),
@@ -80,7 +80,7 @@ def _text(group: BddlGroup | None) -> str:
     return " ".join(word.text for word in group.words) if group is not None else ""
 
 
-def _read_things(path: Path, group: BddlGroup, things: dict[str, str]) -> None:
+def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
     """``a b - kind c - other``, as PDDL writes typed lists."""
     waiting: list[BddlWord] = []
     words = list(group.words)
@@ -93,12 +93,12 @@ def _read_things(path: Path, group: BddlGroup, things: dict[str, str]) -> None:
             raise ImportRefusedError(path, "`-` stands between names and their type", word.line)
         kind = words.pop(0).text
         for name in waiting:
-            if name.text in things:
+            if name.text in kinds:
                 raise ImportRefusedError(path, f"`{name.text}` is there twice", name.line)
-            things[name.text] = kind
+            kinds[name.text] = kind
         waiting = []
     for name in waiting:
-        things.setdefault(name.text, name.text)
+        kinds.setdefault(name.text, name.text)
 
 
 def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:

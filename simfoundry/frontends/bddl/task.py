@@ -74,7 +74,7 @@ class _TaskReader:
 
     def goal(self) -> Condition | None:
         kinds: dict[str, list[str]] = {}
-        for name, kind in self.problem.things.items():
+        for name, kind in self.problem.kinds.items():
             kinds.setdefault(kind.lower(), []).append(name)
         found = ConditionReader(self._atom, kinds, self.missing).condition(self.problem.goal, {})
         if found is None and not self.missing:
@@ -90,23 +90,23 @@ class _TaskReader:
             each = tuple(f"{predicate}({joint})" for joint in self._joints(group, words[0]))
             return {key: each} if len(each) > 1 else next(iter(each), None)
         if name in UNARY and len(words) == 1:
-            thing = self._object(group, words[0])
-            return None if thing is None else f"{UNARY[name]}({thing})"
+            item_name = self._object(group, words[0])
+            return None if item_name is None else f"{UNARY[name]}({item_name})"
         self._lack(group, f"there is no predicate for `{name}`")
         return None
 
     def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Condition | None:
-        thing = self._object(group, first)
+        item_name = self._object(group, first)
         region = self.problem.regions.get(second)
         if region is not None and region.ranges is not None:
-            return None if thing is None else self._in_rectangle(group, thing, region)
+            return None if item_name is None else self._in_rectangle(group, item_name, region)
         target = self._part(group, second, predicate)
-        if thing is None or target is None:
+        if item_name is None or target is None:
             return None
-        text = f"{predicate}({thing}, {target})"
+        text = f"{predicate}({item_name}, {target})"
         if group.head == "on" and self._put_in(target):
             self.draft.changed(f"`{text}`", "the words say `in`, and LIBERO's `On` holds inside, too: either counts")
-            return {"any": (text, f"Inside({thing}, {target})")}
+            return {"any": (text, f"Inside({item_name}, {target})")}
         return text
 
     def _put_in(self, target: str) -> bool:
@@ -115,21 +115,21 @@ class _TaskReader:
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
-    def _in_rectangle(self, group: BddlGroup, thing: str, region: BddlRegion) -> Condition | None:
+    def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Condition | None:
         """A goal region on a table is a point here, within the tolerance of `At`."""
         box = self._rectangle(group, region)
         if box is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
         self.draft.changed(f"region `{region.name}`", "a goal region is the tolerance of `At` about its middle", size)
-        return f"At({thing}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
+        return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
     def _object(self, group: BddlGroup, name: str) -> str | None:
         """The scene's object for a name."""
         found = bind(name, self.problem, self.scene, self.bound)
         if found is None and name not in self.unbound:
             self.unbound.add(name)
-            kind = self.problem.things.get(name)
+            kind = self.problem.kinds.get(name)
             what = f" (a {_type(kind)})" if kind and kind != name else ""
             self._lack(group, f"no object of the scene is `{name}`{what}")
         return found
@@ -198,10 +198,10 @@ class _TaskReader:
         return ({"joints": joints} if joints else {}), regions
 
     def _region(self, group: BddlGroup, name: str, region: BddlRegion, regions: dict[str, Any]) -> None:
-        thing, box = self._object(group, name), self._rectangle(group, region)
-        if thing is None or box is None:
+        item_name, box = self._object(group, name), self._rectangle(group, region)
+        if item_name is None or box is None:
             return
-        item = self.scene.object(thing)
+        item = self.scene.object(item_name)
         if item.fixed:
             self.draft.dropped(f"start of `{name}`", "it is fixed in the scene")
             return
@@ -212,7 +212,7 @@ class _TaskReader:
             turns = 360 * round(low / 360)
             if abs(low - turns) > 1e-6 or abs(high - turns) > 1e-6:
                 found["yaw_deg"] = (low - turns, high - turns)
-        regions[thing] = found
+        regions[item_name] = found
 
     def _lack(self, group: BddlGroup, what: str) -> None:
         text = f"line {group.line}: {what}"
@@ -225,9 +225,9 @@ def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]
     if name in bound:
         return bound[name]
     there = {item.name: item for item in scene.objects}
-    kind = problem.things.get(name, "")
+    kind = problem.kinds.get(name, "")
     short = plain_name(_type(kind))
-    alike = [other for other, its in problem.things.items() if its == kind]
+    alike = [other for other, its in problem.kinds.items() if its == kind]
     number = alike.index(name) if name in alike else 0
     for candidate in (plain_name(name), f"{short}_{number + 1}", short if len(alike) == 1 else ""):
         if candidate in there:
@@ -266,4 +266,4 @@ def _sentence(name: str) -> str:
 
 
 def _counted(missing: list[str]) -> str:
-    return "one thing is missing" if len(missing) == 1 else f"{len(missing)} things are missing"
+    return "one item is missing" if len(missing) == 1 else f"{len(missing)} items are missing"

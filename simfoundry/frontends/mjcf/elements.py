@@ -49,7 +49,7 @@ def _add_mimics(source: MjcfSource) -> None:
         (body, follower), (other, leader) = joints[one], joints[two]
         constant, ratio, *higher = model.eq_data[k][:5].tolist()
         if body is not other or any(higher) or not bool(model.eq_active0[k]):
-            why = "only a joint that follows another of the same thing, in proportion, can be said"
+            why = "only a joint that follows another of the same object, in proportion, can be expressed"
             source.draft.dropped(what, why)
             continue
         zero_one, zero_two = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (one, two))
@@ -68,7 +68,7 @@ def _add_drives(source: MjcfSource) -> None:
         is_servo = is_fixed and is_affine and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
         is_servo = is_servo and gain == (stiffness if stiffness > 0 else damping)
         if not on_joint or joint not in joints or not is_servo or joints[joint][1].type == "ball":
-            draft.dropped(what, "only servos that hold a joint's position or velocity can be said")
+            draft.dropped(what, "only servos that hold a joint's position or velocity can be expressed")
             continue
         driven = joints[joint][1]
         if driven.drive is not None:
@@ -128,14 +128,14 @@ def _add_masks(source: MjcfSource) -> None:
         else:
             _exclude(source, one, two, "contact masks")
     if divided:
-        why = "contact is left out between links of one thing, whole or not at all"
+        why = "contact is left out between links of one object, whole or not at all"
         draft.dropped("contact masks", why, f"{divided} pairs of bodies")
 
 
 def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
     owners = source.owners
     if one not in owners or two not in owners:
-        source.draft.dropped(what, "contact is left out between links of things, not with the world")
+        source.draft.dropped(what, "contact is left out between links of objects, not with the world")
         return
     body, pair = owners[one][0], (owners[one][1], owners[two][1])
     if body is not owners[two][0]:

@@ -159,7 +159,9 @@ class _SceneReader:
             return
         s = factors[0]
         if not s > 0 or any(abs(f - s) > 1e-6 * s for f in factors):
-            raise ImportRefusedError(self.path, f"`{name}` is scaled by {factors}", hint="only even scales can be said")
+            raise ImportRefusedError(
+                self.path, f"`{name}` is scaled by {factors}", hint="only uniform scales can be expressed"
+            )
         self.draft.changed(f"scale of `{name}`", "its parts are scaled; its mass stays", f"{s:g}")
         for joint in body.joints:
             joint.X_PC = Pose.of(joint.X_PC.p * s, joint.X_PC.q)
@@ -173,8 +175,12 @@ class _SceneReader:
     def friction(self, body: BodyDraft, entry: dict[str, Any], args: dict[str, Any]) -> None:
         own, materials = entry.get("friction"), args.get("link_physics_materials") or {}
         for link in body.links.values():
-            said = materials.get(link.name)
-            value = said.get("dynamic_friction", said.get("static_friction")) if isinstance(said, dict) else None
+            material = materials.get(link.name)
+            value = (
+                material.get("dynamic_friction", material.get("static_friction"))
+                if isinstance(material, dict)
+                else None
+            )
             for friction in (own, value):
                 if isinstance(friction, int | float) and friction >= 0:
                     link.contact.friction = float(friction)

@@ -186,7 +186,7 @@ class _TaskReader:
         keys = ("init_predicates_all", "init_predicates_any", "init_predicates_specific")
         for key, predicate in ((k, p) for k in keys for p in self.predicates(k)):
             if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
-                why = "only objects placed on others can be said"
+                why = "only objects placed on others can be expressed"
                 self.draft.dropped(f"`{key}`: {predicate.get('state')}", why)
                 continue
             below, members = self.members(predicate.get("other_group")), self.members(predicate.get("group"))

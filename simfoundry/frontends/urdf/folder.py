@@ -50,8 +50,8 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
             free.append((body, entry["free"]))
         else:
             draft.bodies.append(body)
-    for body, said in free:
-        _attach_free_link(draft, body, said, path)
+    for body, entry in free:
+        _attach_free_link(draft, body, entry, path)
     return draft
 
 
@@ -74,13 +74,13 @@ def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], op
     return body
 
 
-def _attach_free_link(draft: ModelDraft, body: BodyDraft, said: Mapping[str, Any], path: Path) -> None:
+def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, Any], path: Path) -> None:
     """Join a body to the object whose loose part it is."""
-    owner = next((b for b in draft.bodies if b.name == said["object"]), None)
-    if owner is None or said["parent"] not in owner.links:
-        raise ImportRefusedError(path, f"`{body.name}` is part of `{said['object']}`, which is not there")
-    zero, motion = (Pose.of(said[key][:3], said[key][3:]) for key in ("zero", "motion"))
-    joint = JointDraft(said["joint"], "free", said["parent"], body.root, zero, motion=motion)
+    owner = next((b for b in draft.bodies if b.name == entry["object"]), None)
+    if owner is None or entry["parent"] not in owner.links:
+        raise ImportRefusedError(path, f"`{body.name}` is part of `{entry['object']}`, which is not there")
+    zero, motion = (Pose.of(entry[key][:3], entry[key][3:]) for key in ("zero", "motion"))
+    joint = JointDraft(entry["joint"], "free", entry["parent"], body.root, zero, motion=motion)
     owner.links |= body.links
     owner.joints += [joint, *body.joints]
 

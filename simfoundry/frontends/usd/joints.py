@@ -127,7 +127,7 @@ class _JointReader:
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
-            self.draft.changed(self.label, "its limits leave it no way, so it is fixed at zero")
+            self.draft.changed(self.label, "its limits leave it no range, so it is fixed at zero")
         elif turns:
             joint.type = "continuous"
             if (low is None) != (high is None):

@@ -240,7 +240,7 @@ class _UsdReader:
                 self.tree(root, left, at, used)
         for joint in joints:
             if id(joint) not in used:
-                self.draft.dropped(f"joint `{joint.path}`", "it closes a loop, and things here are trees")
+                self.draft.dropped(f"joint `{joint.path}`", "it closes a loop, and objects here are trees")
 
     def is_root(self, path: str) -> bool:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))

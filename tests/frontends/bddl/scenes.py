@@ -15,7 +15,7 @@ def write_scene(problem: BddlProblem, folder: Path) -> Path:
     """Write a scene with all things of a problem side by side; returns its file."""
     objects: dict[str, Any] = {}
     surfaces = {region.target for region in problem.regions.values() if region.ranges is not None}
-    for k, (name, kind) in enumerate(problem.things.items()):
+    for k, (name, kind) in enumerate(problem.kinds.items()):
         if name.startswith("agent"):
             continue
         parts = [r.name for r in problem.regions.values() if r.target == name and r.ranges is None]

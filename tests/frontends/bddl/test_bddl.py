@@ -168,7 +168,7 @@ def test_on_where_the_words_say_in_counts_inside_too(tmp_path: Path) -> None:
     ("goal", "said"),
     [
         ("(And (Turnon plate_1))", "line 13: there is no predicate for `turnon`"),
-        ("(And (On spoon_1 plate_1) (On fork_1 plate_1))", "2 things are missing: line 13: no object of the scene"),
+        ("(And (On spoon_1 plate_1) (On fork_1 plate_1))", "2 items are missing: line 13: no object of the scene"),
         ("(And (Open plate_1))", "`plate_1` has no joint to open"),
         ("(And)", "the goal is empty"),
         ("(And (forall (?x - spoon) (On ?x plate_1)))", "it ranges over a type that nothing has"),

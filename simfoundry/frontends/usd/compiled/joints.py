@@ -28,12 +28,12 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
         handled |= {(relative, found), (relative, f"newton:{kind}:position")}
         unit = 1.0 if kind == "linear" else math.degrees(1.0)
         old = values[found] / unit
-        said = [part.now[relative].get(name) for name in (found, f"newton:{kind}:position")]
-        spoken = [v / unit for v in said if v is not None and abs(v / unit - old) > STILL]
+        positions = [part.now[relative].get(name) for name in (found, f"newton:{kind}:position")]
+        stated = [v / unit for v in positions if v is not None and abs(v / unit - old) > STILL]
         child, moved, off = _moved(part, relative, kind)
         handled.add((child, "at"))
-        new = spoken[0] if spoken else old + moved
-        if not spoken and off:
+        new = stated[0] if stated else old + moved
+        if not stated and off:
             yield StageNote(
                 f"{part.path}/{child}", "it was moved off its joint; what of it goes along the joint is kept"
             )

@@ -152,10 +152,10 @@ def _joined(
     out = dict(written)
     for section, members in written.items():
         if isinstance(members, dict) and None in members.values():
-            said = {
+            data_now = {
                 n: edited[section, n].data if v is None and (section, n) in edited else v for n, v in members.items()
             }
-            out[section] = {n: v for n, v in said.items() if v is not None}
+            out[section] = {n: v for n, v in data_now.items() if v is not None}
     for name, part in copies.items():
         out[part.section] = {**out.get(part.section, {}), name: _edited(part).data}
     return {key: value for key, value in out.items() if value or not isinstance(written[key], dict) or not written[key]}

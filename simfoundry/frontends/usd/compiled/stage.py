@@ -48,10 +48,10 @@ class StageError(SimfoundryError):
 class StageMember:
     """A member of a section of the document, with the prim that stands for it.
 
-    ``spec`` is its data and ``built`` what its prims said when they were written; ``now`` is what they say. ``X_WP`` is
-    its pose in the world and ``scale`` the factors along its axes, shape (3,). Of an object with variants this is all
-    of the ``variant`` that is selected; ``others`` are the object as each of the others, where only that one's own
-    opinions count as edits. ``variant`` is a question mark where the selected one was not compiled.
+    ``spec`` is its data, ``built`` has the values of its prims when they were written and ``now`` the present ones.
+    ``X_WP`` is its pose in the world and ``scale`` the factors along its axes, shape (3,). Of an object with variants
+    this is all of the ``variant`` that is selected; ``others`` are the object as each of the others, where only that
+    one's own opinions count as edits. ``variant`` is a question mark where the selected one was not compiled.
     """
 
     section: str
@@ -153,13 +153,13 @@ def _own_opinions(part: StageMember) -> Values:
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
-        built, said = part.built.get(relative), part.now.get(relative)
-        if said is None:  # deleted; where that was done to all variants, it is no word about this one
+        built, now_values = part.built.get(relative), part.now.get(relative)
+        if now_values is None:  # deleted; where that was done to all variants, it is no word about this one
             verdicts = [spec for spec in prim.GetPrimStack() if spec.HasInfo("active")] if prim else []
             if built is not None and verdicts and not _in_variant(verdicts[0]):
                 now[relative] = built
         elif built is not None or any(_in_variant(spec) for spec in prim.GetPrimStack()):
-            kept = {name: value for name, value in said.items() if _is_own(prim, name)}
+            kept = {name: value for name, value in now_values.items() if _is_own(prim, name)}
             now[relative] = {n: v for n, v in (built or {}).items() if n not in kept and not _is_own(prim, n)} | kept
     return now
 
@@ -275,12 +275,12 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
     known = [part, *(part.GetPrimAtPath(path) for path in built if path)]
     for prim in [p for p in known if p] if robot else Usd.PrimRange(part):
         relative = "" if prim == part else str(prim.GetPath().MakeRelativePath(part.GetPath()))
-        said = observed(_attributes(prim))
-        said |= _bound(prim, built.get(relative, {}))
+        now_values = observed(_attributes(prim))
+        now_values |= _bound(prim, built.get(relative, {}))
         if prim.IsA(UsdGeom.Xformable):
             pose, scale = factored(cache.GetLocalTransformation(prim)[0])
-            said["at"] = (*pose.p.tolist(), *pose.q.tolist(), *scale.tolist())
-        values[relative] = _tuples(said)
+            now_values["at"] = (*pose.p.tolist(), *pose.q.tolist(), *scale.tolist())
+        values[relative] = _tuples(now_values)
     return values
 
 
@@ -300,17 +300,17 @@ def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
     """The look and contact material of a shape, where it was ``built`` with some."""
     from pxr import UsdShade
 
-    said: dict[str, Any] = {}
+    now_values: dict[str, Any] = {}
     api = UsdShade.MaterialBindingAPI(prim)
     if "look" in built:
-        seen, _ = api.ComputeBoundMaterial()
-        shaders = seen.GetPrim().GetChildren() if seen else []
-        said["look"] = look({child.GetName(): _attributes(child) for child in shaders})
+        visual, _ = api.ComputeBoundMaterial()
+        shaders = visual.GetPrim().GetChildren() if visual else []
+        now_values["look"] = look({child.GetName(): _attributes(child) for child in shaders})
     if "contact" in built:
-        touched, _ = api.ComputeBoundMaterial("physics")
-        values = _attributes(touched.GetPrim()) if touched else {}
-        said["contact"] = contact(_with_own(values)) if "physics:dynamicFriction" in values else None
-    return said
+        physics, _ = api.ComputeBoundMaterial("physics")
+        values = _attributes(physics.GetPrim()) if physics else {}
+        now_values["contact"] = contact(_with_own(values)) if "physics:dynamicFriction" in values else None
+    return now_values
 
 
 def _with_own(material: dict[str, Any]) -> dict[str, Any]:
