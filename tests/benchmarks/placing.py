@@ -98,9 +98,7 @@ def _twin(path: Path, rows: list[str]) -> Twin:
     path.write_text("".join(rows))
     scene = lower(load(path))
     standing = {item.name: ("table",) for item in scene.objects if not item.fixed}
-    return Twin(
-        scene, SceneState.initial(scene), None, TwinRobots(scene, ()), standing
-    )  # in rows already: nothing to settle
+    return Twin(scene, SceneState.initial(scene), None, TwinRobots(scene, ()), standing)  # at rest
 
 
 def placed(twin: Twin) -> Callable[[int], tuple[float, float]]:
