@@ -297,7 +297,7 @@ SOUND = {
             "acts by `joint_velocity`, but the document says `action_space: joint_position`",
         ),
         ({"action_space": "cartesian_position"}, "acts by `cartesian_position`"),
-        ({"image_resolution": [180, 320]}, "needs images of 320 × 180, `observation/exterior_image_0_left` has"),
+        ({"image_resolution": [180, 320]}, "needs images of 320 × 180, but `observation/exterior_image_0_left` has"),
         ({"needs_stereo_camera": True}, "needs the image `observation/exterior_image_0_right`"),
     ],
 )
