@@ -147,7 +147,7 @@ class _Closing:
         return best
 
     def _between(self, above: Sequence[list[_Run]], best: float) -> float:
-        """Return the width of the narrowest part that the lines of a pad hold, if it is below ``best``, else ``best``."""
+        """Return the width of the narrowest part that the lines of a pad hold, at most ``best``."""
         runs = _merged([run for line in above for run in line])
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:
