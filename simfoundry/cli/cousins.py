@@ -108,8 +108,8 @@ def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Pat
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     marker = claim_project(read, folder)
     if marker is not None:
-        click.echo(f"wrote {marker}, which marks the root folder of the project", err=True)
-        read = read_recipe(recipe, seed)  # the new marker may have enlarged the project of its documents
+        click.echo(f"wrote {marker}, which marks the root of the project", err=True)
+        read = read_recipe(recipe, seed)  # the marker may have enlarged the project of its documents
     return read, folder
 
 

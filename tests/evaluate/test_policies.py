@@ -209,7 +209,7 @@ def test_a_document(tmp_path: Path) -> None:
         ("joint_position\nh", "joint_torque\nh", "SF106", 5, "joint_torque"),
         ("joint_position\nh", "joint_position\nvelocity_unit: 3\nh", "SF107", 6, "no effect on joint positions"),
         ("horizon: 8", "horizon: 0", "SF104", 6, "horizon"),
-        ("[448, 252]", "[112, 63]", "SF104", 8, "is rendered smaller than the policy takes it"),
+        ("[448, 252]", "[112, 63]", "SF104", 8, "is rendered smaller than the policy expects"),
         ("camera: wrist, ", "", "SF102", 8, "camera"),
         ("joints}", "arm}", "SF106", 9, "arm"),
         (

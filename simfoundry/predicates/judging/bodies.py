@@ -115,7 +115,7 @@ class Bodies:
             name = part if any(link.name == part for link in links) else moved.get(part)
             if name is None:
                 there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
-                raise PredicateError(f"`{owner}` has no link or joint `{part}`; available: {there}")
+                raise PredicateError(f"`{owner}` has no link or joint `{part}`; there are: {there}")
             chosen: tuple[int, ...] = (body.index(name),)
         else:
             chosen = tuple(range(len(links)))
@@ -144,7 +144,7 @@ class Bodies:
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
         if part and not moving:
             there = ", ".join(j.name for j in item.joints if j.has_axis) or "none"
-            raise PredicateError(f"`{owner}` has no joint `{part}` with limits; available: {there}")
+            raise PredicateError(f"`{owner}` has no joint `{part}` with limits; there are: {there}")
         ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
         if not ended or (part and len(ended) < len(moving)):
             raise PredicateError(f"no joint of `{argument}` has limits, so its closed position is undefined")
@@ -158,7 +158,7 @@ class Bodies:
             raise PredicateError(
                 f"no model of robot `{name}` was found, so its shape is unknown; run `simfoundry doctor` for details"
             )
-        raise PredicateError(f"there is no `{name}` in this scene; available: {', '.join(names) or 'none'}")
+        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
 
 
 def _robot_object(robot: Robot) -> RobotObject | None:
