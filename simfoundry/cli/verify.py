@@ -229,7 +229,7 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
         click.echo(tables.rested_table(rested, found) + "\n")
     sections = {
         "differences": tables.details(readings, results, rested),
-        "not kept, and said so": tables.known_lines(readings, results),
+        "lost as reported": tables.known_lines(readings, results),
         "notes": tables.stale_lines(readings),
         "not found": [tables.absent_line(wanted[n]) for n, f in found.items() if f is None],
     }

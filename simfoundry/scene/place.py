@@ -274,7 +274,7 @@ def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"
-    return PlaceError(message, "open the container, or turn, shrink or move the object")
+    return PlaceError(message, "open the container, turn the object, make it smaller or move it")
 
 
 def _metres(value: float) -> str:

@@ -59,7 +59,7 @@ def test_conditions_are_joined(boxes: Setting) -> None:
 @pytest.mark.parametrize("joined", ["all", "any"])
 def test_an_empty_condition_is_refused(boxes: Setting, joined: str) -> None:
     """It would always hold, or never: the goal of a task that was forgotten."""
-    with pytest.raises(PredicateError, match=f"`{joined}` of nothing"):
+    with pytest.raises(PredicateError, match=f"`{joined}` without conditions"):
         boxes.judge({joined: []}, boxes.start)
 
 

@@ -175,6 +175,6 @@ def test_a_robot_without_a_model_is_named(hand: Hand) -> None:
     """Its shape is unknown, which is said; things are judged all the same."""
     lost = LeftOut("robots.arm", "no model found")
     one = Setting(replace(hand.one.scene, robots=(), left_out=(lost,)))
-    with pytest.raises(PredicateError, match="no model of robot `arm` is found"):
+    with pytest.raises(PredicateError, match="no model of robot `arm` was found"):
         one.judge("Touching(arm, cube)", one.start)
     assert one.judge("OnTop(cube, desk)", one.start).value

@@ -104,7 +104,7 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     monkeypatch.setenv("MENAGERIE_ROOT", "")
     monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setenv("MENAGERIE_BASE_URL", (tmp_path / "site").as_uri())
-    with pytest.raises(NoModelError, match=r"not downloaded yet; run `python -m mujoco_menagerie prefetch i2rt_yam`, or"):
+    with pytest.raises(NoModelError, match=r"not downloaded yet; run `python -m mujoco_menagerie prefetch i2rt_yam`"):
         find_model(YAM, document, ".xml", fetch=False)
     assert not (tmp_path / "cache").exists()
     with pytest.raises(NoModelError, match=r"could not fetch `i2rt_yam`: file://.*not found"):
