@@ -19,12 +19,12 @@ GRASP_ITERATIONS = 200
 creeps by up to 2 cm and turns on its way; at 200 by 5 mm, at 500 by 2 mm, for three times the time of 200."""
 
 _GRIPS = {
-    False: "Its surfaces are those of its file, and Bullet multiplies them with the roots of the scene's.",
-    True: "It grips as in MuJoCo, which takes the larger friction; where the scene's differ, by a value between them.",
+    False: "It has the friction of its file, which Bullet multiplies with the square roots of the scene's.",
+    True: "It grips as in MuJoCo, which uses the larger friction; if the scene's differ, with a value between them.",
 }
 _MOTORS = {
-    False: "A motor of Bullet holds its joint with all its force, whatever the gains in the robot's file.",
-    True: "An arm follows with the lag of its gains, but does not sag; rotors are discs in the links that they turn.",
+    False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as discs.",
 }
 """The losses of a robot's surfaces and motors, by whether it was converted from its MJCF."""
 
@@ -42,7 +42,7 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
         losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
     for mounted in scene.mounted:
-        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files stand still."
+        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
     return robots, losses
 

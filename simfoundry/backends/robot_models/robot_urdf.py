@@ -20,7 +20,7 @@ from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 Write = Callable[[SceneObject], Mapping[str, bytes]]
 """Writes an object as ``<name>.urdf`` and the assets that it names."""
 
-CONVERTED = "A robot's own model of this format is used as it is; any other is converted, with hulls and cut loops."
+CONVERTED = "A robot's own model in this format is used unchanged; any other is converted, with hulls and cut loops."
 """The reason in the tables of all formats but MuJoCo's."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -157,11 +157,11 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
     """Yield the losses of a robot that is converted from its MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"No model of it in this format is known; it is converted from its {kind}, with convex hulls as colliders."
+    reason = f"It has no model in this format; it is converted from its {kind}, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
-        reason = f"{words} cut; the joints follow one another in fixed ratios instead."
+        reason = f"{words} cut; mimic joints with fixed ratios replace them."
         yield approximate("robots", robot.name, reason, loops, "loops")
 
 
