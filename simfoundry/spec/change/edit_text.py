@@ -97,8 +97,8 @@ def _same_content(a: Any, b: Any) -> bool:
 class _Span:
     """Position of a value in a text: [start, end); its key starts at ``key`` (-1 if it has no key).
 
-    ``children`` are the members of a block collection or of a mapping in braces. It is None for values that are replaced
-    as a whole: scalars, aliases, lists in brackets, and mappings in braces that contain a string with a comma.
+    ``children`` are the members of a block collection or of a mapping in braces. It is None for values that are
+    replaced as a whole: scalars, aliases, lists in brackets, and mappings in braces that contain a string with a comma.
     """
 
     start: int

@@ -26,6 +26,9 @@ AXIS_DEG = 1.0
 class PoseChange:
     """Motion between two poses in the same parent frame.
 
+    It consists of a translation ``shift`` [m] and a rotation by ``angle`` [deg] about the unit vector ``axis``.
+    """
+
     shift: Vector
     angle: float
     axis: Vector

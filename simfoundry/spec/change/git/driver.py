@@ -20,11 +20,10 @@ NOTHING = "/dev/null"
 
 
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
-    """Return the output for git's arguments ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
+    """Return the output for the arguments ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
 
-    ``top`` is the top folder of the working tree. A document that extends another is compared with its base joined in if
-    the base is known on both sides, and otherwise by its own fields. Documents that cannot be compared are shown as a
-    plain diff.
+    ``top`` is the top folder of the working tree. A document that extends another is compared as a whole if its base is
+    known on both sides, and otherwise by its own fields. Documents that cannot be compared are shown as a plain diff.
     """
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]

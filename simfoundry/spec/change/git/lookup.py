@@ -102,7 +102,7 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """Return the blob of each path that is the same in all states that contain ours; raises if the base is ambiguous."""
+        """Return the blob of each path that is the same in all states with ours; raises if the base is ambiguous."""
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:
             raise _UnknownError
@@ -115,7 +115,7 @@ class _Lookup:
         return found
 
     def _rows(self, paths: list[str]) -> set[Row]:
-        """Return the blobs of the paths in every commit that changes one, in the index, and in the working tree if used."""
+        """Return the blobs of the paths in every commit that changes one, in the index, and possibly on disk."""
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()
