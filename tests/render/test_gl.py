@@ -122,7 +122,7 @@ def test_the_renderer_refuses_what_is_larger_than_its_buffer() -> None:
     need(Engine.EGL)
     with MujocoWorld(tabletop()) as world, MujocoRenderer(world.model, 64, 48, Engine.EGL) as renderer:
         assert renderer.picture(world.data, front_camera(64, 48)).shape == (48, 64, 3)
-        with pytest.raises(RenderError, match="'front' is 96x72, the renderer was made for 64x48"):
+        with pytest.raises(RenderError, match="'front' is 96x72, but the renderer was created for 64x48"):
             renderer.picture(world.data, front_camera(96, 72))
 
 
