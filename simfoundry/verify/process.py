@@ -166,5 +166,5 @@ def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
     """Return the answer of an engine that failed, with the last line that it printed."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
-    last = f"; it said: {said[-1][:200]}" if said else ""
+    last = f"; its last output was: {said[-1][:200]}" if said else ""
     return EngineAnswer(None, (), what + last, time.monotonic() - start)

@@ -42,7 +42,7 @@ def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> N
     done: list[int] = []
     answers = ask(HERE, MUJOCO.readback, [crash, good, hang, wrong, leave, chatty, good], 6.0, done.append)
     assert [a.facts is not None for a in answers] == [False, True, False, False, False, False, True]
-    assert answers[0].error == "crashed: SIGSEGV; it said: last words"
+    assert answers[0].error == "crashed: SIGSEGV; its last output was: last words"
     assert answers[2].error == "gave no answer in 6 s"
     assert answers[3].error == "ValueError: <bad> build"
     assert answers[4].error == "ended with exit code 7"
