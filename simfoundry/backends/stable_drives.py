@@ -16,8 +16,7 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
     """Return the drives of an object by joint, limited such that time steps of ``timestep`` [s] do not diverge.
 
     A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping at 2 m /
-    dt.
-    At a quarter of each limit, both together are still stable.
+    dt. At a quarter of each limit, both together are still stable.
     """
     if not any(joint.drive is not None for joint in item.joints):
         return {}

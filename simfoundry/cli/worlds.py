@@ -15,5 +15,5 @@ class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic from clic
         from simfoundry.worlds import is_world, world_names
 
         if not is_world(value):
-            self.fail(f"no world runs in `{value}`; there are: {', '.join(world_names())}", param, ctx)
+            self.fail(f"scenes cannot be run in `{value}`; the simulators are: {', '.join(world_names())}", param, ctx)
         return value

@@ -36,10 +36,8 @@ class MujocoRenderer:
     """Offscreen renderer of one MuJoCo model; close it, or use it in a ``with`` statement.
 
     ``width`` and ``height`` [px] are the maximum image size. A ``quick`` renderer draws small images in a third of the
-    time
-    on a CPU, with simplified meshes (:mod:`simfoundry.render.simplify`), smaller shadow maps, and four rendered pixels
-    per
-    image pixel in place of the driver's multisampling.
+    time on a CPU, with simplified meshes (:mod:`simfoundry.render.simplify`), smaller shadow maps, and four rendered
+    pixels per image pixel in place of the driver's multisampling.
     """
 
     def __init__(

@@ -27,10 +27,9 @@ class Raycast:
     """An image with per-pixel geometry; all arrays have shape (h, w) or (h, w, 3).
 
     ``color`` is uint8 sRGB. ``depth`` [m] is measured along the optical axis at the pixel center, float64, NaN if no
-    surface
-    is hit. ``objects`` is int32: 0 if no surface is hit, otherwise 1 + the index in ``scene.objects``. ``normals`` are
-    unit
-    vectors in the world frame toward the camera, NaN if no surface is hit. ``camera`` is the camera of the image.
+    surface is hit. ``objects`` is int32: 0 if no surface is hit, otherwise 1 + the index in ``scene.objects``.
+    ``normals`` are unit vectors in the world frame toward the camera, NaN if no surface is hit. ``camera`` is the
+    camera of the image.
     """
 
     color: NDArray[np.uint8]
@@ -44,13 +43,10 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     """Render ``scene`` in ``state`` (by default the state described by the scene) through ``camera``.
 
     Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` in the camera frame, so the center of the first pixel
-    is
-    (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. The color of a pixel is the mean of ``samples`` x
+    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. The color of a pixel is the mean of ``samples`` x
     ``samples`` rays. One ray gives hard shadows and no ambient occlusion; two or more darken corners, and more rays
-    soften
-    the shadows. Depth, objects and normals are those at the pixel center. A visual with alpha 0 is absent. A visual
-    with
-    alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
+    soften the shadows. Depth, objects and normals are those at the pixel center. A visual with alpha 0 is absent. A
+    visual with alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
     """
     if samples < 1:
         raise ValueError(f"a pixel needs at least one ray; got samples={samples}")

@@ -93,8 +93,7 @@ class Points:
     """Visible points, n of them: ``p`` [m, world] (n, 3), unit ``normals`` (n, 3), unit directions ``to_eye`` (n, 3).
 
     ``group``, shape (n,), is the subpixel of each point, out of ``groups``. Each subpixel uses its own samples of the
-    lamps
-    and the sky, so that their mean has soft shadows.
+    lamps and the sky, so that their mean has soft shadows.
     """
 
     p: Array

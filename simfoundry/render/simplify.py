@@ -29,8 +29,7 @@ def coarsened(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model for rendering, with meshes reduced to the detail visible in a small image.
 
     Triangles that become degenerate or duplicate by merging are omitted. The copy cannot be used for physics, because
-    its
-    collision meshes are not updated.
+    its collision meshes are not updated.
     """
     drawn = copy.copy(model)
     for mesh in range(drawn.nmesh):

@@ -32,10 +32,8 @@ class SceneSurface:
 
     ``corners`` [m, world], shape (m, 3, 3). ``normals`` are unit vectors in the world at each corner, shape (m, 3, 3).
     ``uv``, shape (m, 3, 2), is zero without texture coordinates. ``visual``, shape (m,), indexes ``visuals``.
-    ``object``,
-    shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks triangles of watertight,
-    outward-oriented
-    surfaces, whose insides are never visible.
+    ``object``, shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks triangles of watertight,
+    outward-oriented surfaces, whose insides are never visible.
     """
 
     corners: Array

@@ -140,8 +140,7 @@ class ArmReach:
         """Test whether an arm can grasp the box between two corners in the world [m], shape (3,) each.
 
         The fingers point toward the object from ``side``, and the hand approaches along ``way``; both are unit vectors
-        that
-        point away from the object.
+        that point away from the object.
         """
         if self.missing:
             return Reached(False, False, why=self.missing)

@@ -125,8 +125,7 @@ def replace_folder(new: Path, folder: Path) -> None:
     """Exchange the folders ``new`` and ``folder``; both must be on the same file system.
 
     The exchange is atomic if the system supports it. Otherwise, a kill between the two renames leaves the old folder
-    beside
-    its place, in ``.NAME.old.*``.
+    beside its place, in ``.NAME.old.*``.
     """
     new.chmod(0o755)
     if not folder.exists():

@@ -38,10 +38,8 @@ def map_parallel(
     """Map ``function`` over ``inputs``, here if that is fast enough, else across the cores; order is preserved.
 
     ``function`` must be a module-level function or a partial of one, so that other processes can import it.
-    ``progress``
-    receives the number of completed inputs. Processes are started if several cores are available and the remaining
-    inputs
-    would take more than ``startup_s`` seconds here.
+    ``progress`` receives the number of completed inputs. Processes are started if several cores are available and the
+    remaining inputs would take more than ``startup_s`` seconds here.
     """
     processes = min(MAX_PROCESSES, usable_cores()) if processes is None else processes
     results: list[R] = []

@@ -106,8 +106,8 @@ class Registry(Generic[T]):
     """The extensions of one kind by name; nothing is imported until it is used.
 
     ``built_in`` maps names to ``module:attribute``. A plug-in cannot replace a built-in name, so that installing a
-    package
-    never changes the meaning of an existing document; installed packages are not even searched for built-in names.
+    package never changes the meaning of an existing document; installed packages are not even searched for built-in
+    names.
     """
 
     group: str

@@ -64,8 +64,7 @@ def compile_all(
     """Compile all jobs with ``workers`` processes that call ``function``, and return the outcomes in order.
 
     ``report`` receives, from any thread, the current activity and the number of completed jobs. If a process crashes,
-    hangs
-    or runs out of memory, its job fails with that activity in the error, and a new process takes its place.
+    hangs or runs out of memory, its job fails with that activity in the error, and a new process takes its place.
     """
     outcomes: dict[int, CompileOutcome] = {}
     size = min(workers, len(jobs))

@@ -50,14 +50,12 @@ def build(
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 
     A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled and written to
-    staging folders before the first target folder is replaced; each replacement is atomic. ``record`` is written
-    last, to ``out/build.json``, with the hashes of the manifests.
+    staging folders before the first target folder is replaced; each replacement is atomic. ``record`` is written last,
+    to ``out/build.json``, with the hashes of the manifests.
 
     Raises :class:`OutputError` if a folder holds files that no build wrote, or that were edited since, unless ``force``
-    is
-    set. Raises :class:`TargetsError` if a target fails; the others are then written, without a record, and the folder
-    of
-    the failed target is unchanged.
+    is set. Raises :class:`TargetsError` if a target fails; the others are then written, without a record, and the
+    folder of the failed target is unchanged.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())

@@ -88,8 +88,7 @@ def find_target(name: str) -> Target:
     """Return the target called ``name``, or the target whose folder or profile is at the path ``name``.
 
     Raises :class:`UnknownTargetError` for an unknown name, :class:`SpecError` with all findings for an invalid profile,
-    and
-    :class:`PluginError` if the package that provides the target is broken.
+    and :class:`PluginError` if the package that provides the target is broken.
     """
     if name.endswith(SUFFIXES):
         return read_profile(Path(name))

@@ -49,8 +49,7 @@ def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
     """Return names and SHA-256 of all inputs to the build of a valid scene.
 
     ``documents`` are hashed by content, so that comments do not matter. ``files`` are the meshes with their materials
-    and
-    textures. ``robots`` are the models, or the reasons why there are none. ``targets`` are the profiles.
+    and textures. ``robots`` are the models, or the reasons why there are none. ``targets`` are the profiles.
     """
     spec = loaded.spec
     assert isinstance(spec, SceneSpec)

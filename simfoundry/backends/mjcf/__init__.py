@@ -1,10 +1,10 @@
 """MJCF for MuJoCo: ``scene.xml``, its contact pairs, its assets and a loader.
 
-Naming: the body of a root link has the name of the object, any other body ``object.link``. The free joint of a root
-has the name of the object, any other joint ``object.joint``. Collision geoms are ``object.collider`` or
+Naming: the body of a root link has the name of the object, any other body ``object.link``. The free joint of a root has
+the name of the object, any other joint ``object.joint``. Collision geoms are ``object.collider`` or
 ``object.link.collider``; visual geoms are ``object:visual``, and those of the background ``:background:visual``. A
-primitive that serves as both is one geom with the collider's name. Visual geoms are in group 2; all other colliders
-are in group 3, which cameras do not draw. A mesh is named after the first geom that uses it: ``bowl_collision_3``.
+primitive that serves as both is one geom with the collider's name. Visual geoms are in group 2; all other colliders are
+in group 3, which cameras do not draw. A mesh is named after the first geom that uses it: ``bowl_collision_3``.
 
 Each material is a class; :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike materials.
 Mass properties are explicit. Links connected by a joint do not collide: the joint, not contact, holds a drawer in its
@@ -15,8 +15,8 @@ zero. The attribute ``ref`` could start joints elsewhere, but ball joints do not
 coordinates from it (Newton uses ``qpos - ref``), and changing a position by hand would then mean changing the body
 pose, ``ref`` and the keyframe together.
 
-A robot is its own MJCF model below a body with the robot's name, which also prefixes all of its names:
-``arm.joint1``. The robot frames that a scene can refer to are sites: ``arm.hand``.
+A robot is its own MJCF model below a body with the robot's name, which also prefixes all of its names: ``arm.joint1``.
+The robot frames that a scene can refer to are sites: ``arm.hand``.
 """
 
 from __future__ import annotations

@@ -350,8 +350,7 @@ def _set_masks(
     """Set the masks such that geoms meet the robots and all surfaces of the scene for which there are no proxies.
 
     The affinity of a moving geom is the bit of its surface; its type has the bits of all surfaces that it meets
-    directly.
-    A geom without a bit has the type of all: it meets everything, and pairs override incorrect contacts.
+    directly. A geom without a bit has the type of all: it meets everything, and pairs override incorrect contacts.
     """
     apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
     types: dict[tuple[ContactSurface, bool], int] = {}

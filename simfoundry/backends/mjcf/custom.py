@@ -1,12 +1,12 @@
 """Custom texts and numbers for data that has no MJCF element; ``simfoundry import`` reads them back.
 
 Names that contain a colon are ours, because names in a scene never do. ``cabinet:root`` names the root link,
-``cabinet.grip:joint`` the fixed joint that holds a link, ``cabinet.lid:parent`` the link relative to which a free
-joint measures its motion, and ``cabinet.lid:zero`` its zero pose (position [m], quaternion wxyz).
-``cabinet.door:closed`` is the limit, `lower` or `upper`, at which a joint is closed. ``sky:dome`` is the color of a
-dome light times its intensity. ``arm:robot`` holds the fields of a robot in JSON, and ``wrist:mount`` the frame on
-which a camera is mounted if that frame is a site such as ``arm.hand``. ``simfoundry:robots`` lists the bodies of all
-robots, whose contacts are not changed.
+``cabinet.grip:joint`` the fixed joint that holds a link, ``cabinet.lid:parent`` the link relative to which a free joint
+measures its motion, and ``cabinet.lid:zero`` its zero pose (position [m], quaternion wxyz). ``cabinet.door:closed`` is
+the limit, `lower` or `upper`, at which a joint is closed. ``sky:dome`` is the color of a dome light times its
+intensity. ``arm:robot`` holds the fields of a robot in JSON, and ``wrist:mount`` the frame on which a camera is mounted
+if that frame is a site such as ``arm.hand``. ``simfoundry:robots`` lists the bodies of all robots, whose contacts are
+not changed.
 """
 
 from __future__ import annotations

@@ -60,10 +60,9 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
     """Make the finger contacts stiff, so that a grasped object follows the fingers closely.
 
     The constraint solver uses the servo damping at the start of a step, the integrator that at the end. A grasped
-    object
-    is affected by the difference at each jerk of the arm, and creeps by the difference times the time constant of the
-    contact: at MuJoCo's 20 ms a marker crept 8 mm in the hand over a motion of 10 cm, at 4 ms it crept 2 mm. The weight
-    makes the fingers' stiffness dominate the contact; the friction is still the larger of the two.
+    object is affected by the difference at each jerk of the arm, and creeps by the difference times the time constant
+    of the contact: at MuJoCo's 20 ms a marker crept 8 mm in the hand over a motion of 10 cm, at 4 ms it crept 2 mm. The
+    weight makes the fingers' stiffness dominate the contact; the friction is still the larger of the two.
     """
     gripper = read.native.gripper
     if gripper is None:

@@ -1,8 +1,8 @@
 """PyBullet: URDFs, a loader, and ``world.json`` with data that URDF cannot represent.
 
 A link has one friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`. Bullet
-adds a margin around convex meshes that cannot be disabled; the meshes are shrunk by this margin so that their
-effective faces are in the correct place.
+adds a margin around convex meshes that cannot be disabled; the meshes are shrunk by this margin so that their effective
+faces are in the correct place.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
     """Return the gains of a servo for Bullet, whose motors are velocity constraints; empty if they are unknown.
 
     A spring and damper move a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
-    error``
-    in a step of ``timestep`` [s], with any force that this requires. Gripper joints keep their stiffness, because the
-    loader's ``press`` bounds their force with it. Arm joints do not sag, so this bound would only make them oscillate.
+    error`` in a step of ``timestep`` [s], with any force that this requires. Gripper joints keep their stiffness,
+    because the loader's ``press`` bounds their force with it. Arm joints do not sag, so this bound would only make them
+    oscillate.
     """
     if joint not in robot.servos:
         return {}
@@ -91,8 +91,7 @@ def with_rotors(item: SceneObject) -> SceneObject:
     Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
     contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
     would press with a hundredth of their motor's force. A rotor is added as a thin disc, with half its inertia about
-    the
-    transverse axes, because Bullet treats a physically impossible inertia as zero.
+    the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
     rotors = {
         joint.child: joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))

@@ -35,12 +35,9 @@ class RobotUrdf:
     """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
 
     ``positions`` [rad or m], ``efforts`` [N m or N] and ``follow`` are keyed by the URDF's joints. So are the
-    ``servos``
-    whose gains are known: stiffness [N m/rad or N/m], and damping including that of the joint itself. ``joints`` maps
-    the
-    scene's joint names to the URDF's, ``frames`` maps the scene's frames to its links. ``item`` is the object from
-    which
-    the URDF was converted, if any.
+    ``servos`` whose gains are known: stiffness [N m/rad or N/m], and damping including that of the joint itself.
+    ``joints`` maps the scene's joint names to the URDF's, ``frames`` maps the scene's frames to its links. ``item`` is
+    the object from which the URDF was converted, if any.
     """
 
     path: str

@@ -2,10 +2,10 @@
 
 ``physics.json`` holds further simulation properties; the loaders for Drake, Genesis and SAPIEN use it.
 
-A free object is a robot whose root is not attached to anything. ``floating`` joints are never written, because
-PyBullet freezes them and Drake loses their poses. An inertial frame has the axes of its link, and the file states the
-products of inertia, because some readers ignore a rotation of that frame. Links, joints and colliders have the names
-of the scene; the robot has the name of the object.
+A free object is a robot whose root is not attached to anything. ``floating`` joints are never written, because PyBullet
+freezes them and Drake loses their poses. An inertial frame has the axes of its link, and the file states the products
+of inertia, because some readers ignore a rotation of that frame. Links, joints and colliders have the names of the
+scene; the robot has the name of the object.
 """
 
 from __future__ import annotations

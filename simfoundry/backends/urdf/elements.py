@@ -37,8 +37,8 @@ _TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Rows and columns of the inertia matrix in the usual order of URDF's attributes."""
 
 _EFFORT, _VELOCITY = "1000", "100"
-"""Limits of joints that have none in the scene, because URDF requires some: beyond the range of a tabletop scene
-[N or N m, m/s or rad/s]."""
+"""Limits of joints that have none in the scene, because URDF requires some: beyond the range of a tabletop scene [N or
+N m, m/s or rad/s]."""
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:

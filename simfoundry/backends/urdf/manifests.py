@@ -25,8 +25,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
     """Return ``physics.json``; collision shapes have the names and order of the URDF.
 
     A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and the
-    mimic
-    joints that the URDF does not state.
+    mimic joints that the URDF does not state.
     """
     own = {name: robot for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]

@@ -48,12 +48,9 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     """Define ``item`` at its pose in the world, its links side by side below it at their joint positions.
 
     The articulation root of a free object is its root link. For a fixed object, PhysX requires it on a prim above both
-    the
-    link and the joint that fixes it; otherwise PhysX uses joints in maximal coordinates. If the object has variants,
-    each
-    variant in the variant set ``variant`` contains the complete object. Labels use the taxonomy ``class``, which Isaac
-    Sim
-    reads.
+    the link and the joint that fixes it; otherwise PhysX uses joints in maximal coordinates. If the object has
+    variants, each variant in the variant set ``variant`` contains the complete object. Labels use the taxonomy
+    ``class``, which Isaac Sim reads.
     """
     prim = define(scopes.objects, item.name, "Xform")
     prim.kind = "component"

@@ -65,8 +65,7 @@ def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
     """Return a layer of meshes named by content, without duplicates and sorted by name.
 
     Meshes are in single precision and have texture coordinates if the source has them. They are defined as classes, so
-    a
-    stage that opens only this layer shows nothing; the prim that refers to a class makes it visible.
+    a stage that opens only this layer shows nothing; the prim that refers to a class makes it visible.
     """
     from pxr import Sdf
 

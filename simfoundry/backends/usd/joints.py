@@ -41,8 +41,7 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
     """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader`` if one is given.
 
     UsdPhysics measures angles in degrees and rotates about a coordinate axis of the joint frames. Both frames are
-    rotated
-    so that the coordinate axis closest to the scene's axis coincides with it.
+    rotated so that the coordinate axis closest to the scene's axis coincides with it.
     """
     prim = define(scope, joint.name, _TYPE[joint.type])
     token, X_CJ = joint_frame(joint.axis)
@@ -123,10 +122,8 @@ def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
     """Add damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
 
     UsdPhysics supports only the first two, as one drive whose gains are per degree. ``simfoundry:damping`` is the part
-    of
-    that damping which belongs to the joint itself. The other values are attributes of PhysX and Newton, in which
-    torques
-    [N m] and armatures [kg m^2] do not depend on the unit of the angle.
+    of that damping which belongs to the joint itself. The other values are attributes of PhysX and Newton, in which
+    torques [N m] and armatures [kg m^2] do not depend on the unit of the angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
     drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)

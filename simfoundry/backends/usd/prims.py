@@ -47,8 +47,7 @@ class Prim:
 
     ``path`` is its path on the stage, without variant selections; ``references`` are in USD syntax. A prim with
     ``variants`` has one variant set named ``variant``, with one variant ``selected``; each variant is a prim with its
-    own
-    name and type.
+    own name and type.
     """
 
     name: str

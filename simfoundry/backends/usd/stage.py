@@ -31,9 +31,8 @@ def compile_usd(scene: Scene) -> Artifact:
 
     The default prim ``/World`` contains ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
-    ``Contacts``.
-    The stage's own prims start with a capital letter and the names of a scene do not, so they never collide. The source
-    document is stored in metadata, see :mod:`~simfoundry.backends.usd.source`. Raises
+    ``Contacts``. The stage's own prims start with a capital letter and the names of a scene do not, so they never
+    collide. The source document is stored in metadata, see :mod:`~simfoundry.backends.usd.source`. Raises
     :class:`~simfoundry.backends.names.InvalidSceneError` for names that are invalid or not unique.
     """
     check_names(scene)
