@@ -176,7 +176,7 @@ def test_overlay_tints_each_object_outlines_it_and_leaves_the_rest() -> None:
         np.testing.assert_allclose(out[v, u], 50 + np.array(label_color(label)) / 2, atol=0.51)
         np.testing.assert_array_equal(out[v, 5], label_color(label))
     assert len({label_color(k) for k in range(1, 40)}) == 39
-    with pytest.raises(ValueError, match="must agree"):
+    with pytest.raises(ValueError, match="must be equal"):
         overlay(color, objects[:-1])
 
 

@@ -108,7 +108,7 @@ def test_memory_is_bounded(worker: Worker) -> None:
 
 
 def test_what_is_raised_is_told(worker: Worker) -> None:
-    with pytest.raises(WorkerError, match=r"broke \(ValueError: no such thing\)"):
+    with pytest.raises(WorkerError, match=r"failed \(ValueError: no such thing\)"):
         worker.call(f"{HERE}:wrong")
     with pytest.raises(WorkerError, match="ended with exit code 3"):
         worker.call(f"{HERE}:leave")

@@ -206,7 +206,7 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
         ("restores: {restitution", "restores: {bounciness", "SF201", 9, "no feature is called `bounciness`"),
         ("  mass:", "  maas:", "SF201", 11, "no feature is called `maas`"),
         ("kind: never", "kind: maybe", "SF106", 11, "not valid here"),
-        ("name: my_sim", "name: your_sim", "SF106", 2, "its file `my_sim.yaml`"),
+        ("name: my_sim", "name: your_sim", "SF106", 2, "its file is `my_sim.yaml`"),
         (
             "gaps:\n",
             "behaviours: {slip_angel: {low: 0, high: 1, reason: steep}}\ngaps:\n",
@@ -214,7 +214,7 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
             10,
             "no behaviour is",
         ),
-        ("gaps:\n", "tolerances: {read_back: {value: 1, reason: none}}\ngaps:\n", "SF107", 10, "no tolerance is used"),
+        ("gaps:\n", "tolerances: {read_back: {value: 1, reason: none}}\ngaps:\n", "SF107", 10, "the tolerances are not used"),
         ("gaps:\n", ENGINE, "SF203", 10, "there is no file `readback.py`"),
         ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
         ("description: A simulator of my own.", "", "SF102", 1, "`description` is missing"),
