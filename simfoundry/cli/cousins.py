@@ -108,7 +108,7 @@ def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Pat
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     marker = claim_project(read, folder)
     if marker is not None:
-        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
+        click.echo(f"wrote {marker}, which marks the root of the project", err=True)
         read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
     return read, folder
 

@@ -59,9 +59,9 @@ def command(
         return
     click.echo(f"wrote {path}")
     for file in new.marker:
-        click.echo(f"wrote {_shown(str(file))}, which marks the topmost folder of the project")
+        click.echo(f"wrote {_shown(str(file))}, which marks the root of the project")
     for folder in written:
-        click.echo(f"wrote {_shown(folder)}/, with which editors complete and check as you type")
+        click.echo(f"wrote {_shown(folder)}/, which editors use for completion and checks")
     click.echo("next:")
     for step in steps:
         click.echo(f"  {step}")

@@ -29,7 +29,7 @@ PREDICATE = Predicate(
     "the thing is at x, y and perhaps z of the world [m]",
     ("thing", "number", "number", "number"),
     at,
-    f"the frame of `a` is at most {AT * 100:g} cm from the point; without z, along the ground",
+    f"the origin of `a` is at most {AT * 100:g} cm from the point; without z, in the horizontal plane",
     optional=1,
     effect=Effect.MOVE,
 )

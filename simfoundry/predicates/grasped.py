@@ -31,8 +31,8 @@ PREDICATE = Predicate(
     "it is held, by the named robot or by any",
     ("thing", "robot"),
     grasped,
-    f"both sides of one gripper are at most {TOUCH * 1000:g} mm from it, and moving either {PRESS * 1000:g} mm "
-    f"towards the other brings it nearer, or deeper in, by {PRESS * 500:g} mm",
+    f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
+    f"towards the other reduces its distance to `a`, or increases its penetration, by at least {PRESS * 500:g} mm",
     optional=1,
     effect=Effect.GRASP,
     aliases=("grasped", "IsGrasping"),

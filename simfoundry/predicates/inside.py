@@ -39,8 +39,8 @@ PREDICATE = Predicate(
     "the first is in the cavity of the second",
     ("thing", "thing"),
     inside,
-    f"{ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose way out is turned from up by at most "
-    f"{FACING_DOWN_DEG:g} deg; it moves no faster than {SETTLED * 100:g} cm/s, no robot holds it",
+    f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
+    f"{FACING_DOWN_DEG:g} deg away from up; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),
 )

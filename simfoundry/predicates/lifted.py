@@ -40,8 +40,8 @@ PREDICATE = Predicate(
     "it is off whatever it stood on",
     ("thing",),
     lifted,
-    f"its lowest point is {RISE * 100:g} cm higher than the scene describes it, and no object is within "
-    f"{TOUCH * 1000:g} mm but what it carries",
+    f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the scene, and no object is within "
+    f"{TOUCH * 1000:g} mm of it except those that it supports",
     effect=Effect.GRASP,
     aliases=("lifted", "Up"),
     before_motion=False,

@@ -52,8 +52,8 @@ PREDICATE = Predicate(
     "the two stand side by side",
     ("thing", "thing"),
     next_to,
-    "their gap along the ground is at most a sixth of the sum of their mean extents; they share a height; neither is "
-    "over the other",
+    "their horizontal gap is at most a sixth of the sum of their mean extents, their height ranges overlap, and "
+    "neither is over the other",
     effect=Effect.MOVE,
     aliases=("nextto", "next_to"),
 )

@@ -35,9 +35,9 @@ OPEN = Predicate(
     "the joint, or every joint of the object, is open",
     ("joint",),
     partial(_opening, False),
-    f"the joint is more than {OPEN_SHARE:.0%} of its range from its closed end; of an object, every joint that "
-    "has limits. The closed end is the limit that the joint's `closed` names; without it zero, or the limit "
-    "nearest to zero",
+    f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits. The closed end is the limit that the joint's key `closed` names, or else zero, or the limit that is "
+    "closest to zero",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("open",),
@@ -47,7 +47,8 @@ CLOSED = Predicate(
     "the joint, or every joint of the object, is closed",
     ("joint",),
     partial(_opening, True),
-    "the joint is no farther from its closed end than that; of an object, every joint",
+    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("closed", "Close"),

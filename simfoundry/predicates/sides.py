@@ -56,7 +56,8 @@ def _side(name: str, alias: str, meaning: str) -> Predicate:
         meaning,
         ("thing", "thing"),
         partial(_beside, name, alias.replace("_", " ")),
-        "its middle is beyond the edge of the other, and the other's beyond its own, along the level direction",
+        "in the named direction, as seen from the viewpoint, the middle of `a` is beyond all of `b`, and all of `a` is "
+        "beyond the middle of `b`",
         effect=Effect.MOVE,
         aliases=(alias,),
     )

@@ -28,7 +28,7 @@ PREDICATE = Predicate(
     "its z axis points up",
     ("thing",),
     upright,
-    f"the z axis of `a` leans by at most {UPRIGHT_DEG:g} deg",
+    f"the z axis of `a` is at most {UPRIGHT_DEG:g} deg from vertical",
     unit="deg",
     aliases=("upright",),
 )

@@ -170,7 +170,7 @@ def test_a_folder_of_an_earlier_version_is_refused(bench: Path, tmp_path: Path) 
     (tmp_path / "rollouts/push/still").mkdir(parents=True)
     (tmp_path / "rollouts/push/still/000.json").write_text("{}")
     result = run("eval", bench / "push.task.yaml", *_policies(bench)[2:], "-n", "1", "-o", tmp_path, "--no-video")
-    assert result.code == 2 and "which kept no folder for each engine; write to another folder" in result.err
+    assert result.code == 2 and "which had no folder per engine; choose another folder" in result.err
     assert not list((tmp_path / "rollouts").glob("*/*/*/*"))  # said before the first rollout
 
 
@@ -191,9 +191,9 @@ def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, t
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
     task = bench / "push.task.yaml"
     for arguments, said in [
-        ((task, "-p", "nothing"), "`nothing` is no policy"),
-        ((task, "-p", "random", "-p", "random"), "two policies are called `random`"),
-        ((task, task, "-p", "random"), "two tasks are called `push`"),
+        ((task, "-p", "nothing"), "`nothing` is not a policy"),
+        ((task, "-p", "random", "-p", "random"), "two policies have the label `random`"),
+        ((task, task, "-p", "random"), "two tasks have the name `push`"),
         ((bench / "none", "-p", "random"), "does not exist"),
         ((task, "-p", "random", "--shard", "3/2"), "is not I/N"),
         ((task, "-p", "random", "--camera", "nose"), "camera `nose`"),

@@ -110,7 +110,7 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
         rows = np.asarray(getattr(model, field), dtype=np.float64)
         rows = rows.reshape(len(rows), math.prod(rows.shape[1:]))
         bad, problem = ~np.isfinite(rows).all(axis=1), "is not finite"
-        if field.endswith("_quat"):
+        if field.endswith("quat"):
             bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is no rotation"
         elif field == "jnt_axis":
             moves = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)))
@@ -139,6 +139,7 @@ class _MjcfReader:
         self.data = mujoco.MjData(model)
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
+            mujoco.mj_normalizeQuat(model, self.data.qpos)  # one without a length is the identity there
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)

@@ -270,3 +270,10 @@ def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: st
     with pytest.raises(ImportRefusedError, match=reason):
         import_file(source, tmp_path / "one/two/a.scene.yaml", ImportOptions())
     assert [p.name for p in source.parent.iterdir()] == ["a.xml"]
+
+
+def test_a_keyframe_without_a_rotation_is_taken_as_mujoco_takes_it(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="ball"><freejoint/><geom size=".1"/></body></worldbody>
+    <keyframe><key qpos="0 0 1 0 0 0 0"/></keyframe></mujoco>"""
+    _, scene = importing("m.xml", text)
+    assert scene.object("ball").X_WO.q.tolist() == [1, 0, 0, 0]
