@@ -82,7 +82,7 @@ def variant_losses(scene: Scene, target: str) -> Iterator[Loss]:
 def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
     """Yield the loss of a Gaussian splat in a target that draws only surfaces."""
     if scene.background is not None and scene.background.splat is not None:
-        yield drop("background_splat", "background", f"{target} draws only surfaces, and a Gaussian splat has none.")
+        yield drop("background_splat", "background", f"{target} renders surfaces, and a Gaussian splat has none.")
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:

@@ -21,7 +21,7 @@ def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
     if robot is not None:
         hands = {robot.owner: hands[robot.owner]} if robot.owner in hands else {}
         if not hands:
-            raise PredicateError(f"`{robot.name}` is no robot with a gripper")
+            raise PredicateError(f"`{robot.name}` is not a robot with a gripper")
     held = grip_margin(terms.view, terms.context.distances, hands.values(), a)
     terms.require(held, held, lambda v, ok: f"`{a.name}` is held" if ok else f"`{a.name}` is not held")
 

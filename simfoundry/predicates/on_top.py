@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 STEEP_SCALE = 0.01
-"""Margin [m] for a cosine of 1 more or less: of the order of the other margins of things at rest, a few millimetres."""
+"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimetres."""
 
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that ``b`` touches ``a``, pushes it up and keeps it from falling, and that nothing moves or holds it."""
+    """Require that ``b`` touches ``a``, pushes it up and balances it, and that ``a`` is at rest and not held."""
     from functools import partial
 
     from simfoundry.predicates.judging import support

@@ -1,4 +1,4 @@
-"""``Above(a, b)`` and ``Under(a, b)``: the plumb line through the middle of ``a`` meets ``b`` on one side only."""
+"""``Above(a, b)`` and ``Under(a, b)``: the plumb line through the middle of ``a`` intersects ``b`` on one side only."""
 
 from __future__ import annotations
 

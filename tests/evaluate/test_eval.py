@@ -278,7 +278,7 @@ def test_where_nothing_draws_an_evaluation_goes_without_videos(
     arguments = ("eval", push_file, "-p", "random", "-n", "1", "-o", tmp_path / "out")
     done = run(*arguments)
     assert done.code == 0, done.err
-    assert "no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one" in done.err
+    assert "no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one" in done.err
     assert not list((tmp_path / "out").rglob("*.webm")) and (tmp_path / "out" / "report.html").is_file()
     asked = run(*arguments[:-1], tmp_path / "asked", "--video")
     assert asked.code == 2 and "MuJoCo finds no GL driver: install libegl1" in asked.err

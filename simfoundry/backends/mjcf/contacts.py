@@ -123,8 +123,8 @@ def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
     if worst is None or not _native_error(worst):
         return
     a, b = (geoms[0].surface.friction for geoms in (worst.one, worst.other))
-    rule = f"MuJoCo takes the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
-    reason = f"{rule}; the scene specifies {worst.contact.friction:.3g}."
+    rule = f"MuJoCo uses the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
+    reason = f"{rule}, where the scene has {worst.contact.friction:.3g}."
     if exact:
         count = sum(len(group.one) * len(group.other) for group in groups)
         reason = f"load.py makes all contacts exact; opened without it, {count} pairs of moving geoms are not: {reason}"

@@ -154,12 +154,12 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
     """Yield the losses of a robot in MuJoCo at steps of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "It has no MJCF model; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
+        reason = "It has no MJCF; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
         yield approximate("robots", robot.name, reason)
     if read.servos:
         reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
         yield approximate("robot_motors", robot.name, reason)
-    reason = "Its surfaces keep the friction of its file; in contact with the scene, MuJoCo takes the larger friction."
+    reason = "It has the friction of its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
         firm = 1000 * _firm(timestep)

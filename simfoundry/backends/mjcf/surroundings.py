@@ -66,5 +66,5 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss for each dome light."""
-    reason = "MuJoCo has no dome lights; it is written as uniform ambient light, without shading."
+    reason = "MuJoCo has no dome lights; its color lights all surfaces equally, without shading."
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)

@@ -20,12 +20,12 @@ creeps by up to 2 cm and rotates during a motion; with 200 it creeps by 5 mm, wi
 time."""
 
 _GRIPS = {
-    False: "Its surfaces keep the friction of its file, and Bullet multiplies it by the root of the scene's.",
-    True: "Its grip matches MuJoCo, which takes the larger friction; if the scene's frictions differ, a mean is used.",
+    False: "It has the friction of its file, which Bullet multiplies with the square roots of the scene's.",
+    True: "It grips as in MuJoCo, which uses the larger friction; if the scene's differ, with a value between them.",
 }
 _MOTORS = {
-    False: "A Bullet motor holds its joint with its full force and ignores the gains in the robot's file.",
-    True: "An arm lags according to its gains but does not sag; rotor inertias are added as discs to the driven links.",
+    False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as discs.",
 }
 """The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
@@ -43,7 +43,7 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
         losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
     for mounted in scene.mounted:
-        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files do not move."
+        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
     return robots, losses
 

@@ -20,9 +20,7 @@ from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 Write = Callable[[SceneObject], Mapping[str, bytes]]
 """Function that writes an object as ``<name>.urdf`` and returns it with its assets."""
 
-CONVERTED = (
-    "A robot's own model in this format is used unchanged; any other is converted, with convex hulls and cut loops."
-)
+CONVERTED = "A robot's own model in this format is used unchanged; any other is converted, with hulls and cut loops."
 """The reason in the feature tables of all formats except MuJoCo's."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -164,7 +162,7 @@ def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
-        reason = f"{words} cut; the joints follow each other at fixed ratios instead."
+        reason = f"{words} cut; mimic joints with fixed ratios replace them."
         yield approximate("robots", robot.name, reason, loops, "loops")
 
 

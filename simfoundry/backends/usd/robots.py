@@ -52,9 +52,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = (
-            "Its surfaces have the friction of its file, which readers combine with the scene's by their own rules."
-        )
+        reason = "It has the friction of its file, which readers combine with the scene's by their own rules."
         found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
