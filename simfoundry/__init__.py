@@ -1,6 +1,6 @@
 """SimFoundry: one typed scene spec, many simulators.
 
-Importing this package loads no simulator, no USD and no mesh library; each public name is imported at its first use.
+Importing this package loads no simulator, no USD and no mesh library; each public name is imported on first use.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MODULES = {
     "TaskDocument": "api.task_document",
     "UnknownNameError": "api.entries",
 }
-"""The module of each public class."""
+"""Module of each public class."""
 
 __all__ = [
     "Build",
@@ -48,7 +48,7 @@ __all__ = [
 
 
 def load(path: str | Path) -> SceneDocument:
-    """Load a scene: a document, or a file of USD, MJCF or URDF that is imported.
+    """Load a scene: a document, or a USD, MJCF or URDF file, which is imported.
 
     Raises :class:`SpecError` with every finding if the document has errors.
     """
@@ -75,10 +75,10 @@ def evaluate(
     video: bool = False,
     jobs: int = 1,
 ) -> Evaluation:
-    """Evaluate policies on tasks, each from the same starts: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
+    """Evaluate policies on tasks, all from the same starts: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
 
-    A policy is named as on the command line: ``random``, ``expert``, ``python:module:Class``, ``openpi:host:port?...``.
-    Rollouts that are in ``out`` already are not run again, so that a run that was stopped goes on where it was.
+    Policies are named as on the command line: ``random``, ``expert``, ``python:module:Class``,
+    ``openpi:host:port?...``. Rollouts that are already in ``out`` are not repeated, so an interrupted run resumes.
     """
     from simfoundry.api.evaluation import evaluate_tasks
 

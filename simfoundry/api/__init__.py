@@ -1,1 +1,1 @@
-"""The public API: documents to edit in place, compile, open and judge. Import it as ``simfoundry``."""
+"""Public API: documents to edit in place, compile, open and judge. Import it as ``simfoundry``."""

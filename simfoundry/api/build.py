@@ -1,4 +1,4 @@
-"""Products of a scene: files of targets, and models in memory."""
+"""Build products of a scene: target files and in-memory models."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Build:
-    """Compiled targets on the disk: ``folder/<target>``, and ``folder/loss.json``."""
+    """Compiled targets on disk: ``folder/<target>``, and ``folder/loss.json``."""
 
     folder: Path
     scene: Scene
@@ -29,17 +29,17 @@ class Build:
 
     @property
     def entries(self) -> dict[str, Path]:
-        """The file to open of each target."""
+        """Entry file of each target."""
         return {a.target: self.folder / a.target / a.entry for a in self.artifacts}
 
     @property
     def losses(self) -> dict[str, Any]:
-        """The losses of each target: the content of ``loss.json``."""
+        """Losses of each target: the content of ``loss.json``."""
         return report(self.scene, list(self.artifacts))
 
 
 def build_scene(scene: Scene, targets: tuple[str, ...], out: Path, force: bool) -> Build:
-    """Compile a scene into a folder for each target, by default for every format."""
+    """Compile a scene into one folder per target, by default for every format."""
     return Build(out, scene, tuple(build(scene, targets or TARGETS, out, force)))
 
 
@@ -55,7 +55,7 @@ def mujoco_spec(scene: Scene) -> mujoco.MjSpec:
 
 
 def usd_stage(scene: Scene) -> Usd.Stage:
-    """Return a scene as a stage; a temporary folder with its layers goes when the stage does."""
+    """Return a scene as a USD stage; a temporary folder with its layers is deleted with the stage."""
     from pxr import Usd
 
     artifact = compile_scene(scene, "usd")

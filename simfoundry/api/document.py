@@ -1,4 +1,4 @@
-"""A document that is edited in place: its data, the text that the edits lead to, and how it is saved."""
+"""Documents edited in place: their data, the edited text, and saving."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from simfoundry.spec.yaml.write import to_yaml
 
 
 class EditableDocument(DocumentEntry):
-    """A document of one kind. Its values are edited in place; nothing reaches the disk before :meth:`save`.
+    """A document of one kind, edited in place; nothing is written to disk before :meth:`save`.
 
-    Edits are kept as data beside the text. Whatever reads the document (``check``, ``lower``, ``save``) sees the edited
-    text, so that findings name its lines, and comments and layout stay as they are around each edit.
+    Edits are kept as data beside the text. All methods that read the document (``check``, ``lower``, ``save``) use the
+    edited text, so that findings refer to its lines, and comments and layout around each edit are preserved.
     """
 
     _model: ClassVar[type[DocumentSpec]]
@@ -35,7 +35,7 @@ class EditableDocument(DocumentEntry):
         super().__init__(self, ())
         self._file = loaded.path
         text = loaded.document.text if loaded.document is not None else ""
-        self._source = text or to_yaml(loaded.spec)  # a stage carries its document in another form
+        self._source = text or to_yaml(loaded.spec)  # a stage stores its document in another form
         self._before: dict[str, Any] = to_data(loaded.spec)
         self._data: dict[str, Any] = copied(self._before)
         self._loaded = loaded
@@ -49,12 +49,12 @@ class EditableDocument(DocumentEntry):
 
     @property
     def path(self) -> Path:
-        """The file of the document."""
+        """File of the document."""
         return self._file
 
     @property
     def text(self) -> str:
-        """The text of the document with the edits in it."""
+        """Text of the document with the edits applied."""
         if self._data == self._before:
             return self._source
         from simfoundry.spec.yaml.text import parse, read
@@ -68,13 +68,13 @@ class EditableDocument(DocumentEntry):
 
     @property
     def changes(self) -> list[str]:
-        """The edits since the document was loaded or saved, in words: ``mug mass 0.31 → 0.3 kg``."""
+        """Describe the edits since the document was loaded or saved: ``mug mass 0.31 → 0.3 kg``."""
         from simfoundry.spec.change.diff.words import describe, text
 
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Return every finding of the document as it is edited; without ``lints`` those of its structure alone."""
+        """Return every finding of the edited document; without ``lints`` only those of its structure."""
         loaded = self._load()
         findings = loaded.all_findings()
         if lints:
@@ -84,9 +84,9 @@ class EditableDocument(DocumentEntry):
         return findings
 
     def save(self, path: str | Path | None = None) -> Path:
-        """Write the document, by default where it was loaded from; comments and layout stay around the edits.
+        """Write the document, by default to its original file; comments and layout around the edits are preserved.
 
-        Raises :class:`SpecError` if the edits leave an error in the document, and writes nothing then.
+        Raises :class:`SpecError` and writes nothing if the edits leave an error in the document.
         """
         from simfoundry.runtime.files import write_atomically
 
@@ -96,7 +96,7 @@ class EditableDocument(DocumentEntry):
                 f"this was imported from {self._imported_from}; name a document: `save('a.scene.yaml')`"
             )
         if not target.name.endswith(".yaml"):
-            raise SimfoundryError(f"{target} is not a YAML document; name one, as `save('desk.scene.yaml')`")
+            raise SimfoundryError(f"{target} is not a YAML document; name one, e.g. `save('desk.scene.yaml')`")
         if target.resolve().parent != self.path.resolve().parent and any(self._files()):
             self._take_files(target)
         text = self.text
@@ -110,11 +110,11 @@ class EditableDocument(DocumentEntry):
         return target
 
     def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
-        """Remember where the document comes from, and the folder that is copied along with it when it is saved."""
+        """Record the source of an imported document, and the folder to copy when the document is saved."""
         self._imported_from, self._mesh_folder = source, mesh_folder
 
     def _take_files(self, target: Path) -> None:
-        """Copy the folder of meshes of an imported document beside a new place of it."""
+        """Copy the mesh folder of an imported document beside its new location."""
         import shutil
 
         folder = self._mesh_folder
@@ -136,7 +136,7 @@ class EditableDocument(DocumentEntry):
         return self._loaded if self._data == self._before else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document without errors; raises :class:`SpecError` otherwise."""
+        """Return the edited document if it has no errors; raises :class:`SpecError` otherwise."""
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
@@ -155,7 +155,7 @@ class EditableDocument(DocumentEntry):
             found += [v for v in values if isinstance(v, str) and ":" not in v and not v.startswith("/")]
         return found
 
-    # -- what entries read and write --------------------------------------------------------------------------------
+    # -- access by entries ------------------------------------------------------------------------------------------
 
     def _get(self, path: DataPath) -> Any:
         """Return the plain value at a path, or :data:`ABSENT`."""
@@ -165,7 +165,7 @@ class EditableDocument(DocumentEntry):
         return value
 
     def _set(self, path: DataPath, value: Any) -> None:
-        """Put a value at a path; raises :class:`SpecError` if it is none that may stand there."""
+        """Set the value at a path; raises :class:`SpecError` if the value is invalid there."""
         before, plain = copied(self._data), to_plain(value)
         place = self._data
         for part in path[:-1]:
@@ -179,19 +179,19 @@ class EditableDocument(DocumentEntry):
             raise SpecError(findings) from None
 
     def _delete(self, path: DataPath) -> None:
-        """Remove what is at a path, and the mappings that this leaves empty."""
+        """Remove the value at a path, and the mappings that this leaves empty."""
         place = self._get(path[:-1])
         del place[path[-1]]
         if not place and len(path) > 1:
             self._delete(path[:-1])
 
     def _rename(self, section: DataPath, old: str, new: str) -> None:
-        """Give a member another name, everywhere."""
+        """Rename a member and all references to it."""
         self._data = renamed(self._data, [Rename(section, old, new)])
 
 
 def _validate(model: type[Model], path: DataPath, value: Any) -> None:
-    """Hold a value to the type of the field, or of the member of a section, at a path."""
+    """Validate a value against the type of the field, or of the members of a section, at a path."""
     for owner in models_at(model, path[:-1]):
         if path[-1] in owner.model_fields and issubclass(owner, Model):
             TypeAdapter(field_type(owner, path[-1])).validate_python(value, strict=True)
@@ -199,4 +199,4 @@ def _validate(model: type[Model], path: DataPath, value: Any) -> None:
     for kind in models_at(model, path):
         kind.model_validate(value)
         return
-    raise UnknownNameError(f"`{'.'.join(path)}` is no part of a document")
+    raise UnknownNameError(f"`{'.'.join(path)}` is not a path in this document")

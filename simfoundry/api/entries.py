@@ -1,4 +1,4 @@
-"""Parts of a document that read and write like their models: entries, their fields, and mappings of entries by name."""
+"""Views of parts of a document with the fields of their models: entries, fields, and mappings of entries by name."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ Got = TypeVar("Got")
 Given = TypeVar("Given", contravariant=True)
 
 DataPath = tuple[str, ...]
-"""Where something stands in the data of a document: ``("objects", "mug")``."""
+"""Path in the data of a document: ``("objects", "mug")``."""
 
 
 class UnknownNameError(SimfoundryError, KeyError):
-    """A name that a document does not have; the message names those that are like it."""
+    """A name that a document does not have; the message lists similar names."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class DocumentEntry:
-    """An entry of a document, as one object or one material. It holds no values: it reads and writes the document."""
+    """View of one entry of a document, such as an object or a material; it stores no values itself."""
 
     _model: ClassVar[type[Model]]
     _document: EditableDocument
@@ -44,12 +44,12 @@ class DocumentEntry:
         object.__setattr__(self, "_at", path)
 
     def to_data(self) -> dict[str, Any]:
-        """Return what is written of the entry as plain data."""
+        """Return the written values of the entry as plain data."""
         found = self._document._get(self._at)
         return copied(found) if isinstance(found, dict) else {}
 
     def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
-        """Set several fields at once, which matters where one replaces another: ``update(pose=None, place=...)``."""
+        """Set several fields at once, as needed if one replaces another: ``update(pose=None, place=...)``."""
         for name, value in {**values, **more}.items():
             self._check_field(name)
             if value is not None:
@@ -64,7 +64,7 @@ class DocumentEntry:
         if name not in self._model.model_fields:
             raise UnknownNameError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
 
-    if not TYPE_CHECKING:  # a checker of types knows the fields by their declarations
+    if not TYPE_CHECKING:  # type checkers know the fields by their declarations
 
         def __getattr__(self, name: str) -> object:
             raise AttributeError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
@@ -76,13 +76,15 @@ class DocumentEntry:
 
 
 class ValueField(Generic[Got, Given]):
-    """A field of an entry: what is written, else its default; None and ``del`` remove what is written."""
+    """Field of an entry: the written value, else its default; None and ``del`` remove the written value."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     @overload
-    def __get__(self, entry: None, owner: type) -> Self: ...
+    def __get__(self, entry: None, owner: type) -> Self:
+        """Return the value, typed as in the model."""
+
     @overload
     def __get__(self, entry: DocumentEntry, owner: type) -> Got: ...
     def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | Got:
@@ -98,11 +100,11 @@ class ValueField(Generic[Got, Given]):
         return typed
 
     def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Write a value; raises :class:`SpecError` if it is none that may stand here."""
+        """Write a value; raises :class:`SpecError` if it is invalid."""
         entry.update({self.name: value})
 
     def __delete__(self, entry: DocumentEntry) -> None:
-        """Remove what is written."""
+        """Remove the written value."""
         entry.update({self.name: None})
 
 
@@ -110,7 +112,7 @@ E = TypeVar("E", bound=DocumentEntry)
 
 
 class EntryField(Generic[E]):
-    """A field that is an entry itself, as a pose: its own fields can be set one by one, or all by a mapping."""
+    """Field that is itself an entry, such as a pose: set its fields one by one, or all with a mapping."""
 
     def __init__(self, kind: type[E]) -> None:
         self.kind = kind
@@ -136,7 +138,7 @@ class EntryField(Generic[E]):
 
 
 class EntryMapping(MutableMapping[str, E]):
-    """The members of a section by name, as ``scene.objects``."""
+    """Members of a section by name, such as ``scene.objects``."""
 
     def __init__(self, document: EditableDocument, path: DataPath, kind: type[E]) -> None:
         self._document, self._at, self._kind = document, path, kind
@@ -171,7 +173,7 @@ class EntryMapping(MutableMapping[str, E]):
         return self[name]
 
     def rename(self, old: str, new: str) -> E:
-        """Give a member another name, also where relations, places and the like refer to it."""
+        """Rename a member, also in relations, placements and other references."""
         if old not in self._names():
             raise UnknownNameError(self._unknown(old))
         if new in self._names():
@@ -196,7 +198,7 @@ class EntryMapping(MutableMapping[str, E]):
 
 
 class ExpressionList(MutableSequence[str]):
-    """A list of expressions that is edited in place, as ``scene.relations``."""
+    """List of expressions edited in place, such as ``scene.relations``."""
 
     def __init__(self, document: EditableDocument, path: DataPath) -> None:
         self._document, self._at = document, path
@@ -251,7 +253,7 @@ def to_plain(value: Any) -> Any:
     """Return a value as plain data: mappings, tuples and scalars."""
     if isinstance(value, Model):
         return to_data(value)
-    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+    if hasattr(value, "tolist"):  # numpy arrays and numbers
         value = value.tolist()
     if isinstance(value, dict):
         return {str(key): to_plain(item) for key, item in value.items()}
@@ -263,6 +265,6 @@ def to_plain(value: Any) -> Any:
 
 
 def field_type(model: type[Model], name: str) -> Any:
-    """Return the type of a field with what is asked of its values."""
+    """Return the type of a field with its constraints."""
     info = model.model_fields[name]
     return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation

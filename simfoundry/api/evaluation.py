@@ -1,4 +1,4 @@
-"""Rollouts of policies on tasks, and what they say together."""
+"""Rollouts of policies on tasks, and their combined results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class Evaluation:
     """Results of an evaluation: the records of its rollouts, in ``folder`` with ``results.json`` and a report.
 
-    ``missing`` counts the rollouts without a result; ``troubles`` are sentences about policies that misbehaved.
+    ``missing`` is the number of rollouts without a result; ``troubles`` are sentences about faulty policies.
     """
 
     folder: Path
@@ -27,14 +27,14 @@ class Evaluation:
 
     @property
     def success(self) -> dict[tuple[str, str], float]:
-        """The rate of success by task and policy; those without a result are left out."""
+        """Success rate by task and policy; pairs without results are left out."""
         from simfoundry.evaluate.statistics.results import cells
 
         return {(cell.title, cell.policy): cell.success.share for cell in cells(self.records) if cell.success.of}
 
     @property
     def report(self) -> Path:
-        """The page with grids of starts, failures and videos."""
+        """Page with grids of starts, failures and videos."""
         return self.folder / "report.html"
 
 
@@ -49,7 +49,7 @@ def evaluate_tasks(
     video: bool,
     jobs: int,
 ) -> Evaluation:
-    """Run what is not there yet of an evaluation, and write its report."""
+    """Run the missing rollouts of an evaluation, and write its report."""
     from simfoundry.evaluate.entries import TaskEntry, contenders
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
@@ -64,7 +64,7 @@ def evaluate_tasks(
 def run_plan(
     plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
 ) -> Evaluation:
-    """Carry out a plan; ``progress`` hears the standing of a policy, and the share that is done."""
+    """Execute a plan; ``progress`` receives the standing of a policy and the completed fraction."""
     from simfoundry.evaluate.run import run
 
     troubles: list[str] = []

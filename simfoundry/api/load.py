@@ -1,4 +1,4 @@
-"""Load a scene from a document, or from a file that a frontend reads."""
+"""Load a scene from a document, or from a file format with a frontend."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from simfoundry.api.scene_document import SceneDocument
 from simfoundry.errors import SimfoundryError
 
 IMPORTED = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
-"""Suffixes of files that frontends read."""
+"""File suffixes that frontends read."""
 
 
 def load_scene_document(path: Path) -> SceneDocument:
-    """Return the scene document at a path, or the one that a file of another format becomes."""
+    """Return the scene document at a path, or the document imported from another format."""
     return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
 
 
 def is_compiled_stage(path: Path) -> bool:
-    """Return whether a file is a stage that was compiled from a document, which it carries."""
+    """Return whether a file is a stage that was compiled from a document, which is stored in it."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
     from simfoundry.frontends.errors import refusing_faults
@@ -30,7 +30,7 @@ def is_compiled_stage(path: Path) -> bool:
         with refusing_faults(path):
             return carrier(open_stage(path)) is not None
     except StageError:
-        return False  # whoever imports it says why it cannot be read
+        return False  # the import reports why it cannot be read
 
 
 def _imported(path: Path) -> SceneDocument:

@@ -1,4 +1,4 @@
-"""A scene that is edited in place, and what can be done with it: check, lower, compile, open, judge."""
+"""Scenes edited in place, and operations on them: check, lower, compile, open, judge."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ShapeSpec = (
     base.BoxShape | base.SphereShape | base.CylinderShape | base.CapsuleShape | base.PrismShape | base.LatheShape
 )
 Values = Mapping[str, object]
-"""Fields as they stand in the YAML: ``{"box": [0.1, 0.1, 0.1]}``."""
+"""Fields as in the YAML: ``{"box": [0.1, 0.1, 0.1]}``."""
 
 Text = ValueField[str | None, str | None]
 Names = ValueField[tuple[str, ...], Sequence[str] | None]
@@ -50,7 +50,7 @@ class PoseEntry(DocumentEntry):
 
 
 class CameraPoseEntry(DocumentEntry):
-    """The pose of a camera: position [m], with a point to look at or a rotation."""
+    """The pose of a camera: position [m], with a look-at point or a rotation."""
 
     _model = base.CameraPose
     xyz = Position()
@@ -71,7 +71,7 @@ class MaterialEntry(DocumentEntry):
 
 
 class ObjectEntry(DocumentEntry):
-    """An object: its shape or asset, mass [kg] or density [kg/m^3], surface, and where it is."""
+    """An object: its shape or asset, mass [kg] or density [kg/m^3], surface, and pose or placement."""
 
     _model = scene.ObjectSpec
     category = Text()
@@ -98,7 +98,7 @@ class ObjectEntry(DocumentEntry):
 
 
 class RobotEntry(DocumentEntry):
-    """A robot: its model, where its base is, and its posture."""
+    """A robot: its model, base pose, and posture."""
 
     _model = robot.RobotSpec
     model = ValueField[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
@@ -148,32 +148,32 @@ class SceneDocument(EditableDocument):
 
     @property
     def objects(self) -> EntryMapping[ObjectEntry]:
-        """The objects by name."""
+        """Objects by name."""
         return EntryMapping(self, ("objects",), ObjectEntry)
 
     @property
     def materials(self) -> EntryMapping[MaterialEntry]:
-        """The materials by name."""
+        """Materials by name."""
         return EntryMapping(self, ("materials",), MaterialEntry)
 
     @property
     def robots(self) -> EntryMapping[RobotEntry]:
-        """The robots by name."""
+        """Robots by name."""
         return EntryMapping(self, ("robots",), RobotEntry)
 
     @property
     def cameras(self) -> EntryMapping[CameraEntry]:
-        """The cameras by name."""
+        """Cameras by name."""
         return EntryMapping(self, ("cameras",), CameraEntry)
 
     @property
     def lights(self) -> EntryMapping[LightEntry]:
-        """The lights by name."""
+        """Lights by name."""
         return EntryMapping(self, ("lights",), LightEntry)
 
     @property
     def relations(self) -> ExpressionList:
-        """The predicates that should hold, as ``OnTop(cup, desk)``: a list that is edited in place."""
+        """Predicates that should hold, such as ``OnTop(cup, desk)``: a list that is edited in place."""
         return ExpressionList(self, ("relations",))
 
     @relations.setter
@@ -190,7 +190,7 @@ class SceneDocument(EditableDocument):
     def compile(self, *targets: str, out: str | Path, force: bool = False) -> Build:
         """Compile the scene into ``out/<target>`` for each target: a format, a simulator, or the path of a profile.
 
-        Raises :class:`OutputError` where a folder holds other files than those of a build, unless ``force``.
+        Raises :class:`OutputError` if a folder contains files that are not from a build, unless ``force``.
         """
         from simfoundry.api.build import build_scene
 
@@ -213,15 +213,16 @@ class SceneDocument(EditableDocument):
         return usd_stage(self.lower())
 
     def open(self, engine: str = "mujoco") -> World:
-        """Return a simulator that holds the scene, a context manager with ``step``, ``state`` and ``judge``."""
+        """Return a simulator with the scene loaded: a context manager with ``step``, ``state`` and ``judge``."""
         from simfoundry.worlds import open_world
 
         return open_world(self.lower(), engine)
 
     def judge(self, condition: str | None = None, state: SceneState | None = None) -> Verdict:
-        """Judge a condition in a state, by default all relations of the scene, as the scene describes them.
+        """Judge a condition, by default all relations of the scene, in a state, by default the scene's initial state.
 
-        Raises :class:`ExpressionError` for what is no condition, and :class:`PredicateError` for what the scene lacks.
+        Raises :class:`ExpressionError` for an invalid condition, and :class:`PredicateError` for one that the scene
+        cannot decide.
         """
         from simfoundry.predicates import Judge
         from simfoundry.scene.state import SceneState

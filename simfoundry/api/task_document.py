@@ -1,4 +1,4 @@
-"""A task that is edited in place, and evaluated."""
+"""Tasks edited in place, and their evaluation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Goal = ValueField[Any, str | Values]
 
 
 class SubtaskEntry(DocumentEntry):
-    """A step of a task: its goal, its instruction, and how it starts on its own."""
+    """A step of a task: its goal, its instruction, and its own start."""
 
     _model = task.Subtask
     goal = Goal()
@@ -42,7 +42,7 @@ class TaskDocument(EditableDocument):
 
     @property
     def subtasks(self) -> EntryMapping[SubtaskEntry]:
-        """The steps by name, in order."""
+        """Steps by name, in order."""
         return EntryMapping(self, ("subtasks",), SubtaskEntry)
 
     def load_scene(self) -> SceneDocument:

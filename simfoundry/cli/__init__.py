@@ -1,1 +1,1 @@
-"""The ``simfoundry`` command: one file a command, no logic of its own."""
+"""The ``simfoundry`` command: one module per command, without logic of its own."""

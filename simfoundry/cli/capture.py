@@ -15,13 +15,13 @@ from simfoundry.cli.settle import settle_table
 @click.argument("capture", type=ANY)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write the scene into this folder. Default: build/<capture name>.")
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
-@click.option("--force", is_flag=True, help="Replace the output folder even if it holds files or edits of yours.")
-@click.option("--strict", is_flag=True, help="Exit with 1 if an object was left out or did not settle well.")
+@click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if an object was left out or did not settle well.")
 def command(capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool) -> int:
-    """Turn a capture (a folder with capture.yaml, colour and depth) into a settled scene with meshes.
+    """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
-    Writes NAME.scene.yaml, meshes/, report.json and compare.png. Where an object was left out, or settled with a
-    problem, the table and the report say which and why.
+    Writes NAME.scene.yaml, meshes/, report.json and compare.png. If an object was left out, or did not settle well, the
+    table and the report name it and give the reason.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture
@@ -41,7 +41,7 @@ def command(capture: Path, out: Path | None, frame: str | None, force: bool, str
 
 
 def _name(capture: Path) -> str:
-    """Return the name of a capture: that of its folder, or NAME of NAME.capture.yaml."""
+    """Return the name of a capture: its folder's name, or NAME for NAME.capture.yaml."""
     if capture.is_dir() or capture.name == "capture.yaml":
         return (capture if capture.is_dir() else capture.parent).resolve().name
     return capture.name.split(".")[0]

@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from simfoundry.spec.loaded import Loaded
 
 MANY = 100
-"""From so many documents on, a terminal shows how far the check is."""
+"""Number of documents from which a terminal shows a progress bar."""
 
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
-    help="Choose text for people, or a format for scripts, code scanning or GitHub.",
+    help="Output format: text, or a format for scripts, code scanning or GitHub.",
 )  # fmt: skip
-@click.option("--lints/--no-lints", default=True, help="Look at geometry too, or at the structure alone.")
+@click.option("--lints/--no-lints", default=True, help="Check geometry as well, or only the structure.")
 def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
-    """Check documents, or every document below folders (default: the working folder).
+    """Check documents, or every document below the given folders (default: the working folder).
 
-    The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` says more about a finding.
+    The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` describes a finding in detail.
     """
     from simfoundry.runtime.parallel import map_parallel
     from simfoundry.spec.check.report import gather, renderer
@@ -62,14 +62,14 @@ def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> i
 
 
 _known: dict[Path, Known] = {}
-"""Documents read by this process during a command, by project, so that shared ones are read once."""
+"""Documents that this process has read during a command, by project; shared documents are read once."""
 
 _linted: set[Path] = set()
-"""Documents linted by this process during a command."""
+"""Documents that this process has linted during a command."""
 
 
 def _check(file: Path, lints: bool) -> Checked:
-    """Return the findings of one document; also called in other processes."""
+    """Return the findings of one document; also called in worker processes."""
     from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import load
     from simfoundry.spec.project import project_root
@@ -85,7 +85,7 @@ def _check(file: Path, lints: bool) -> Checked:
 
 
 def _used(loaded: Loaded) -> Iterator[Path]:
-    """The files that a document extends and refers to, and so on from there."""
+    """Return the files that a document extends or refers to, transitively."""
     yield from loaded.bases
     for used in loaded.uses.values():
         yield used.path
@@ -94,7 +94,7 @@ def _used(loaded: Loaded) -> Iterator[Path]:
 
 @contextmanager
 def _progress(count: int) -> Iterator[Callable[[int], object]]:
-    """Shows how many of ``count`` documents are done, where somebody may wait for them at a terminal."""
+    """Report how many of ``count`` documents are done if a terminal is attached."""
     if count < MANY or not sys.stderr.isatty():
         yield lambda done: None
         return

@@ -11,7 +11,7 @@ import click
 from simfoundry.cli.options import ANY, NEW_FOLDER
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 
-# NumPy starts threads for large matrices when it is imported: a tenth of the command, and here are none.
+# NumPy starts a BLAS thread pool at import, a tenth of the command's run time, and no matrix here is large.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
@@ -21,18 +21,18 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @click.argument("scenes", nargs=-1, required=True, type=ANY)
 @click.option(
     "-t", "--target", "targets", multiple=True,
-    help="Compile for a format, a simulator, or a folder of your own. Default: all formats.",
+    help="Compile for a format, a simulator, or a target folder of your own. Default: all formats.",
 )  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER, default=Path("build"), show_default=True,
-    help="Write a folder for each target here; with several scenes, a folder for each scene.",
+    help="Write one folder per target here; with several scenes, one folder per scene.",
 )  # fmt: skip
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1), help="Compile this many scenes at a time. Default: one for each core."
+    "-j", "--jobs", type=click.IntRange(1), help="Compile this many scenes in parallel. Default: one per core."
 )
-@click.option("--strict", is_flag=True, help="Exit with 1 if a target cannot keep everything.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if a target cannot represent everything.")
 @click.option(
-    "--force", is_flag=True, help="Compile what is up to date too, and replace folders that hold files of yours."
+    "--force", is_flag=True, help="Recompile scenes that are up to date, and replace folders that contain other files."
 )
 def command(
     scenes: tuple[Path, ...],
@@ -43,13 +43,13 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Compile scenes for simulators, each target into a folder of its own, with a report of what was lost.
+    """Compile scenes for simulators, one folder per target, with a report of everything that was lost.
 
-    A target that fails is reported, and the others are written; the exit code is then 1, or 2 where none is written.
+    A target that fails is reported and the others are written; the exit code is then 1, or 2 if none is written.
 
-    One scene goes to OUT/TARGET. Several, or the scenes below folders, go to OUT/SCENE/TARGET: side by side, each in a
-    process of its own; what is up to date is passed over, and where one fails the others go on, with exit code 1 at the
-    end.
+    One scene goes to OUT/TARGET. Several scenes, or the scenes below folders, go to OUT/SCENE/TARGET; they compile in
+    parallel, each in its own process. Scenes that are up to date are skipped. If one fails, the others continue, and
+    the exit code is 1.
     """
     if len(scenes) > 1 or scenes[0].is_dir():
         from simfoundry.cli.compile_many import compile_many
@@ -89,19 +89,19 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
     for line in table(losses):
         click.echo(line)
     if lossy:
-        click.echo(f"why, and by how much: {out / LOSSES}")
+        click.echo(f"reasons and amounts: {out / LOSSES}")
     for line in _failed(failures):
         click.echo(f"Error: {line}", err=True)
     return FINDINGS if failures or (strict and lossy) else DONE
 
 
 def _failed(failures: Mapping[str, str]) -> list[str]:
-    """A line for each target that could not be compiled."""
+    """Return a line for each target that could not be compiled."""
     return [f"{target} is not written: {reason}" for target, reason in failures.items()]
 
 
 def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return a line for each reason for a dropped element: ``gravity is not written: URDF has no world settings``."""
+    """Return a line per reason for dropped elements: ``gravity is not written: URDF has no world settings``."""
     by_reason: dict[str, list[str]] = {}
     for loss in losses:
         if loss["fidelity"] == "dropped":

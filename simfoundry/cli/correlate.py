@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 @click.argument("sim", nargs=-1, required=True, type=ANY)
 @click.option(
     "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
-    help="Assume this many rollouts for a rate without a count.",
+    help="Number of rollouts to assume for a rate without a count.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
-    help="Draw this many samples for the intervals.",
+    help="Number of samples for the intervals.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed the draws.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the sampling.")
 @click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def command(
     real: Path,
@@ -42,9 +42,9 @@ def command(
 ) -> None:
     """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
 
-    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or what `simfoundry eval` wrote.
-    Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what
-    rates drawn from their posterior and policies drawn anew give. r is undefined where all policies do equally well.
+    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or results of `simfoundry eval`.
+    Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
+    rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
     """
     from simfoundry.evaluate.statistics.correlation import Draws, agreements, left_out, reservations
     from simfoundry.evaluate.statistics.scores import by_engine, read_scores
@@ -55,7 +55,7 @@ def command(
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)
     if len(engines := by_engine(truth)) > 1:
-        raise CannotError(f"{real} has results of {' and '.join(engines)}, and one table is to be the real one")
+        raise CannotError(f"{real} has results of {' and '.join(engines)}; pass one table of real results")
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_names(sim), sim, strict=True):
         each = by_engine(read_scores(path))
@@ -82,7 +82,7 @@ def _names(sim: Sequence[Path]) -> list[str]:
     if len(set(names)) < len(names):
         names = [str(path) for path in sim]
     if len(set(names)) < len(names):
-        raise CannotError("the same table is named twice")
+        raise CannotError("the same table is given twice")
     return names
 
 

@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 @click.argument("recipe", type=FILE)
 @click.option(
     "-n", "--count", type=click.IntRange(1, 1_000_000),
-    help="Make this many cousins. Default: as many as the recipe says.",
+    help="Number of cousins to make. Default: the recipe's.",
 )  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER,
-    help="Write into this folder of the twin's project. Default: build/NAME.",
+    help="Write into this folder, inside the twin's project. Default: build/NAME.",
 )  # fmt: skip
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Use this many processes. Default: one for each core.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Number of processes. Default: one per core.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Use this seed instead of the recipe's.")
 @click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option(
     "--gallery", type=click.IntRange(0, 1000), default=24, show_default=True,
-    help="Show this many pictures on the page.",
+    help="Number of pictures on the page.",
 )  # fmt: skip
-@click.option("--no-gallery", is_flag=True, help="Draw no pictures.")
-@click.option("--vlm", default="", metavar="MODEL", help="Ask this model where the recipe needs one.")
-@click.option("--stage", type=NEW_FILE, help="Also write a USD stage that holds all cousins as variants.")
+@click.option("--no-gallery", is_flag=True, help="Do not draw pictures.")
+@click.option("--vlm", default="", metavar="MODEL", help="Use this model for recipes that need one.")
+@click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
 def command(
     recipe: Path,
     count: int | None,
@@ -55,14 +55,14 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make variants of a scene or task that keep its affordances.
+    """Make variants of a scene or task that preserve its affordances.
 
-    Each cousin is a document in OUT that extends the twin with what differs; OUT/manifest.json lists them, and every
-    candidate that was rejected, with the reasons; OUT/gallery.html shows the first. The same recipe and seed give the
-    same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
-    are united by a run without --shard.
+    Each cousin is a document in OUT that extends the twin and states only the differences. OUT/manifest.json lists the
+    cousins and every rejected candidate with the reasons; OUT/gallery.html shows the first cousins. The same recipe and
+    seed give the same bytes. To resume an interrupted run, repeat the command; to combine shards written to one folder,
+    run it without --shard.
 
-    The exit code is 1 if there are fewer cousins, or fewer variants of an object, than asked for.
+    The exit code is 1 if there are fewer cousins, or fewer variants of an object, than requested.
     """
     from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.recipe.candidate import ImpossibleError
@@ -101,15 +101,15 @@ def command(
 
 
 def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
-    """The recipe, and the folder of its cousins, which belongs to the project of the twin from now on."""
+    """Return the recipe and the output folder, which from now on belongs to the twin's project."""
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
 
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     marker = claim_project(read, folder)
     if marker is not None:
-        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
-        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
+        click.echo(f"wrote {marker}, which marks the root of the project", err=True)
+        read = read_recipe(recipe, seed)  # the marker may have enlarged the project of its documents
     return read, folder
 
 
@@ -121,7 +121,7 @@ def _write(
     stage: Path | None,
     progress: Callable[[str, float], None],
 ) -> None:
-    """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
+    """Write all outputs except the cousins, which are already there; delete the logs last."""
     from simfoundry.cousins.run.report import write_manifest
     from simfoundry.cousins.run.run import finish
     from simfoundry.reports.gallery import write_gallery
@@ -169,12 +169,12 @@ def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bo
         click.echo(f"note: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
-            f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "
-            "above say what to ask for less strictly",
+            f"stopped: of at least {PATIENCE} candidates, fewer than {LEAST_RATE:.1%} were accepted; the reasons "
+            "above show which constraints to relax",
             err=True,
         )
     elif short:
-        click.echo(f"there are no more than these {ledger.examined} candidates", err=True)
+        click.echo(f"the recipe has only these {ledger.examined} candidates", err=True)
     where = plan.out / FILE if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
     return end

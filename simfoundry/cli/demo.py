@@ -16,11 +16,12 @@ from simfoundry.cli.settle import settle_table
 @click.argument("capture", type=ANY, required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
-@click.option("--force", is_flag=True, help="Replace the output folder even if it holds files or edits of yours.")
+@click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
-    """Reconstruct a scene from one picture, compile and run it, and let an arm do a small task in it.
+    """Reconstruct a scene from one picture, compile and simulate it, and run a small task with an arm.
 
-    CAPTURE is a folder with capture.yaml; without it, the project's own desk, for which the truth is known.
+    CAPTURE is a folder with capture.yaml. Without it, the demo uses the project's own desk, whose ground truth is
+    known.
     """
     from simfoundry.capture.demo import own_capture, run_demo
     from simfoundry.evaluate.demo import demonstrate
@@ -28,7 +29,7 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
     folder = capture or own_capture()
     with progress_bar(as_json) as progress:
         demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
-        progress("let an arm do a task", 0.7)
+        progress("running a task with an arm", 0.7)
         arm = demonstrate(demo.run.scene_file, out / "arm", force)
     if as_json:
         print_json(demo.to_json() | {"arm": arm.to_json()})
@@ -38,7 +39,7 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
     if demo.comparison:
         click.echo("\nrecovered against true values")
         click.echo(_truth_table([c.to_json() for c in demo.comparison]))
-    click.echo("\nwhat 2 s of simulation move")
+    click.echo("\nmotion in 2 s of simulation")
     for engine, motions in demo.motions.items():
         if isinstance(motions, str):
             click.echo(f"{engine:<9} {motions}")
@@ -46,9 +47,9 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
             worst = max(motions, key=lambda m: m.moved)
             turned = max(m.turned_deg for m in motions)
             click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
-    click.echo("\nan arm beside it")
+    click.echo("\ntask of an arm")
     if arm.task is None:
-        click.echo(f"does nothing: {arm.reason}")
+        click.echo(f"not run: {arm.reason}")
     elif arm.success:
         click.echo(f"“{arm.instruction}”  done in {arm.seconds:.1f} s")
     else:

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
 @click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
 @click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
-@click.option("--exit-code", is_flag=True, help="Exit with 1 if there is a difference.")
-@click.option("-v", "--verbose", is_flag=True, help="Also show differences that mean nothing, as another order.")
+@click.option("--exit-code", is_flag=True, help="Exit with code 1 if there is a difference.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
 @click.option("--git", "driver", is_flag=True, help="Act as git's diff driver.")
 def command(
     what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
 ) -> int | None:
-    """Show what changed in a document, in the words of the scene.
+    """Show the changes in a document in terms of the scene.
 
-    Two files; or two revisions of a file: `HEAD~1 desk.scene.yaml` is that revision against the file as it is now,
-    `main..feature desk.scene.yaml` two revisions; HEAD where there is none. Without a file, every document that
-    differs.
+    Pass two files, or revisions of one file: `HEAD~1 desk.scene.yaml` compares that revision with the working file, and
+    `main..feature desk.scene.yaml` compares two revisions. The default revision is HEAD. Without a file, every document
+    that differs is shown.
     """
     if driver:
         return _driver(what)
@@ -38,7 +38,7 @@ def command(
     from simfoundry.spec.change.git.arguments import open_pair, pairs
 
     if (form == "html") != (out is not None):
-        raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
+        raise CannotError("an HTML page needs an output file; give `--format html` and `-o PAGE.html` together")
     if out is not None:
         from simfoundry.runtime.outputs import ensure_replaceable
 

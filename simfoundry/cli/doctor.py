@@ -11,9 +11,9 @@ from simfoundry.cli.output import DONE, FINDINGS, print_json, subcommand
 
 @subcommand()
 def command(as_json: bool) -> int:
-    """Show what is installed, what is missing and how to install it. The exit code is 1 if a requirement is missing.
+    """Show installed and missing components, and how to install them. The exit code is 1 if a requirement is missing.
 
-    Looked at are packages, extras, known robots, what draws pictures, and foundation models. Nothing is fetched.
+    Covers packages, extras, known robots, renderers and foundation models. Nothing is downloaded.
     """
     from simfoundry.worlds.doctor import examine
 

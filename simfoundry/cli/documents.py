@@ -1,4 +1,4 @@
-"""The documents that a command works on."""
+"""Find the documents that a command works on."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from simfoundry.spec.project import MARKER, Project, find_project
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
-    """The files themselves, and the documents below the folders; each once.
+    """Return the given files and the documents below the given folders, each once.
 
-    Below folders those with a dot in front are passed over, and those that the project excludes.
+    Below folders, names that start with a dot and documents that the project excludes are skipped.
     """
     files: dict[Path, None] = {}
     excluded = 0
@@ -33,7 +33,7 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
 
 
 def _included(found: list[Path], folder: Path) -> list[Path]:
-    """The documents that neither the project of ``folder`` nor their own excludes."""
+    """Return the documents that are excluded neither by the project of ``folder`` nor by their own project."""
     outer = find_project(folder)
     projects: dict[Path, Project | None] = {}
     kept = []

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 SENTENCES = 10
-"""So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
+"""Number of problems, and of comparisons, printed as sentences; more do not fit on a screen beside the table."""
 
 
 @subcommand("eval")
@@ -35,27 +35,25 @@ SENTENCES = 10
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
 @click.option(
     "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
-    help="Run this many rollouts of each task.",
+    help="Number of rollouts of each task.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed the starts.")
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed of the initial states.")
 @click.option(
     "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="Run in this engine; give two to compare them.",
+    show_default=True, help="Run in this engine; give the option twice to compare two.",
 )  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step and require the whole goal.")
-@click.option("--step", "alone", metavar="STEP", help="Start at this step and require its goal alone.")
-@click.option("--subtasks", is_flag=True, help="Also run each step that has a start of its own.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step and require only its goal.")
+@click.option("--subtasks", is_flag=True, help="Also run each step that defines its own start.")
 @click.option(
-    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if pictures can be drawn here."
+    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if rendering works here."
 )
-@click.option("--camera", "cameras", multiple=True, help="Film with these cameras. Default: the scene's first.")
-@click.option(
-    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Use this many processes."
-)
+@click.option("--camera", "cameras", multiple=True, help="Record from these cameras. Default: the scene's first.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of processes.")
 @click.option(
     "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
 )
-@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 if a success rate is below this.")
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
 def command(
     tasks: tuple[Path, ...],
     policies: tuple[str, ...],
@@ -75,14 +73,15 @@ def command(
 ) -> int:
     """Evaluate policies on tasks.
 
-    TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
-    cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
-    was stopped goes on where it was, and shards that write to one folder are united there. OUT/results.json has the
-    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos. With `--world mujoco
-    --world pybullet` both engines begin from the same starts, and where they disagree is said.
+    TASKS are task documents, or folders of them. Every policy gets the same initial states; in each rollout, each
+    object starts in a different cell of its grid. OUT contains one file per rollout. Finished rollouts are not
+    repeated: to resume an interrupted run, repeat the command; shards that write to one folder are combined there.
+    OUT/results.json has the results (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the
+    videos. With `--world mujoco --world pybullet` both engines get the same initial states, and the report lists the
+    rollouts in which they disagree.
 
-    A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
-    not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
+    A policy that answers with an error, or with an invalid action, fails that rollout. If a policy does not answer, the
+    rollout is missing: it counts in no rate, and the same command tries it again.
 
     The exit code is 1 if rollouts are missing, or if a rate is below --require.
     """
@@ -91,7 +90,7 @@ def command(
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
-        raise CannotError("--from, --step and --subtasks exclude each other")
+        raise CannotError("--from, --step and --subtasks are mutually exclusive")
     plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
@@ -110,12 +109,12 @@ def command(
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
-    """Return whether videos can be drawn here, and say why not. PyBullet needs no driver."""
+    """Return whether videos can be rendered here, and report the reason if not. PyBullet needs no driver."""
     from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
-    click.echo("no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one", err=True)
+    click.echo("no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one", err=True)
     return False
 
 
@@ -147,7 +146,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
         if len(troubles) > SENTENCES:
             click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
         if missing:
-            click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
+            click.echo(f"{missing} rollouts are missing; repeat the command to run them", err=True)
         for cell in low:
             where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
             click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
@@ -181,7 +180,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
-    """Print the rates over all tasks, and the evidence that two policies differ."""
+    """Print the rates over all tasks, and the significance of the differences between policies."""
     from rich.table import Table
 
     from simfoundry.evaluate.statistics.engine_comparison import compare_engines
@@ -198,7 +197,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
             table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
             if not all(pool.is_balanced for pool in here.values()):
                 alike = (here[p].stratified_text if p in here else "" for p in policies)
-                table.add_row("  each task weighs the same", *alike, style="dim")
+                table.add_row("  tasks weighted equally", *alike, style="dim")
         console.print()
         console.print(table)
     pairs = comparisons(records)

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 @subcommand()
 @click.argument("code", required=False)
 def command(code: str | None, as_json: bool) -> None:
-    """Explain a code: what it means, how to fix it, what is wrong and what is right.
+    """Explain a diagnostic code: its meaning, its fix, and examples of wrong and right input.
 
-    CODE is written as in a finding, SF201, or shorter, 201. Without one, all codes are listed.
+    CODE is written as in a finding, SF201, or without the prefix, 201. Without CODE, all codes are listed.
     """
     from simfoundry.spec.check.pages import code_of, grouped, page, titles
     from simfoundry.spec.diagnostics import nearest
@@ -49,7 +49,7 @@ def _listed(groups: dict[str, dict[str, str]]) -> str:
 
 
 def _render(page: Page) -> None:
-    """The page on a terminal, in lines that can be read."""
+    """Print the page to a terminal with a readable line length."""
     from rich.console import Console
     from rich.markdown import Markdown
 

@@ -17,12 +17,12 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_document, p
     help="Write BDDL for LIBERO or BEHAVIOR, or the task YAML of the paper's release.",
 )  # fmt: skip
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
-@click.option("--strict", is_flag=True, help="Exit with 1 if something was left out or assumed.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
 def command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
     """Write a task as BDDL, or in the format of the paper's release.
 
-    What the format cannot say of the goal is refused; what it cannot say of the start is reported. `simfoundry import`
-    reads all three formats.
+    A goal that the format cannot express is an error; parts of the initial state that it cannot express are reported.
+    `simfoundry import` reads all three formats.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.frontends.task_export import export_task
@@ -38,7 +38,7 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     if out is not None:
         ensure_replaceable(out, [task, *loaded.files()], force)
     if as_json and out is None:
-        raise CannotError("--json reports on a file: name it with `-o FILE`")
+        raise CannotError("--json needs an output file; name it with `-o FILE`")
     export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
         print_document(export.text)

@@ -15,9 +15,9 @@ from simfoundry.cli.output import DONE, print_document, print_json, subcommand
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
 def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
-    """Write a document out in full: what it extends joined in, every default spelled out.
+    """Write a document in full, with everything that it extends merged and every default written out.
 
-    Two documents that say the same have the same text, and so the same hash. Files that it names are made relative to
+    Equivalent documents give the same text, and therefore the same hash. Paths of files become relative to the place
     where the text is written.
     """
     from simfoundry.runtime.files import write_atomically

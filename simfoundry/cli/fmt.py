@@ -31,17 +31,17 @@ STDIN = Path("-")
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
-@click.option("--check", is_flag=True, help="Write nothing, and exit with 1 if something would change.")
-@click.option("--diff", is_flag=True, help="Write nothing, and show what would change.")
+@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if something would change.")
+@click.option("--diff", is_flag=True, help="Write nothing, and show the changes.")
 def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
-    """Write documents in their canonical form; comments and meaning stay.
+    """Rewrite documents in their canonical form, keeping comments and meaning.
 
-    PATHS are files, or folders with documents below them (default: here); `-` reads standard input and writes standard
-    output. A text that cannot be read is reported and left as it is (exit code 2).
+    PATHS are files, or folders with documents below them (default: the working folder); `-` reads standard input and
+    writes standard output. A file that cannot be read is reported and left unchanged (exit code 2).
     """
     if STDIN in paths:
         if len(paths) > 1 or as_json:
-            raise CannotError("`-` stands alone: it takes no other file and no --json")
+            raise CannotError("`-` cannot be combined with other files or --json")
         return _stream(check, diff)
     texts, findings = _formatted(documents(paths or (Path(),)))
     changed = {path: text for path, text in texts.items() if text.changed}

@@ -17,26 +17,26 @@ from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
 PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
-"""The files that are documents."""
+"""File patterns of documents."""
 LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
 
 _scope = (
     click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories."),
-    click.option("--local", "here", is_flag=True, help="Apply to this repository (default)."),
+    click.option("--local", "here", is_flag=True, help="Apply to this repository only (default)."),
 )
 
 
 @dataclass(frozen=True)
 class Scope:
-    """The scope of git settings: one repository, or all of a user's."""
+    """Scope of the git settings: one repository, or all repositories of the user."""
 
     option: str
     attributes: Path
 
     @property
     def words(self) -> str:
-        """For messages."""
-        return "for every repository of yours" if self.option == "--global" else "in this repository"
+        """Describe the scope for messages."""
+        return "for all your repositories" if self.option == "--global" else "in this repository"
 
 
 @click.group()
@@ -50,10 +50,10 @@ def command() -> None:
 @click.option("--uninstall", is_flag=True, help="Remove the settings.")
 @reporting
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
-    """Set simfoundry as git's diff and merge driver for documents.
+    """Register simfoundry as git's diff and merge driver for documents.
 
-    The settings go into git's own configuration, which is not shared, and the patterns of the files into
-    `.gitattributes`, which is: commit it. Where the settings are missing git treats documents as text, as ever.
+    The settings go into git's own configuration, which is not shared, and the file patterns into `.gitattributes`,
+    which is shared: commit it. On machines without the settings, git treats documents as text, as usual.
     """
     scope = _scoped(everywhere, here)
     undo = f"simfoundry git install{' --global' if everywhere else ''} --uninstall"
@@ -72,7 +72,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {scope.attributes}")
     click.echo(f"done {scope.words}; to undo: {undo}")
     if not everywhere:
-        click.echo("commit .gitattributes; each member of the team runs `simfoundry git install` once")
+        click.echo("commit .gitattributes; every member of the team must run `simfoundry git install` once")
     return DONE
 
 
@@ -80,7 +80,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
 @json_option
 @reporting
 def status(as_json: bool) -> int:
-    """Show the settings, here and for all repositories. The exit code is 1 if one is missing."""
+    """Show the settings for this repository and for all. The exit code is 1 if a setting is missing."""
     wanted = settings()
     found = {key: _output("config", "--get", key) for key in wanted}
     folder = _top()
@@ -90,22 +90,24 @@ def status(as_json: bool) -> int:
         print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
     else:
         for key, value in found.items():
-            other = "" if not value or value == wanted[key] else "  (another installation's; run install to renew it)"
+            other = (
+                "" if not value or value == wanted[key] else "  (from another installation; run install to update it)"
+            )
             click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
         if folder is None:
-            click.echo("this is no git repository, so it has no attributes")
+            click.echo("this is not a git repository, so it has no attributes")
         else:
             click.echo(f"documents {'have' if attributes else 'do not have'} the attributes diff and merge here")
         if not (all(found.values()) and attributes):
-            click.echo("to set what is missing: simfoundry git install")
+            click.echo("to add the missing settings: simfoundry git install")
     return DONE if all(found.values()) and attributes else FINDINGS
 
 
 def settings() -> dict[str, str]:
-    """The settings by key; they name this Python, so that they work where no environment is active.
+    """Return the settings by key. They name this Python, so that they work without an active environment.
 
-    -P keeps modules of the repository that git works in from being imported. Where this Python is gone, or simfoundry
-    from it, documents are merged as text.
+    -P keeps Python from importing modules of the repository in which git runs. If this Python, or simfoundry in it, no
+    longer exists, documents are merged as text.
     """
     python = shlex.quote(Path(sys.executable).as_posix())
     ours = f"{python} -P -m simfoundry.cli.main"
@@ -121,19 +123,19 @@ def settings() -> dict[str, str]:
 
 def _scoped(everywhere: bool, here: bool) -> Scope:
     if everywhere and here:
-        raise CannotError("give one of --global and --local")
+        raise CannotError("--global and --local are mutually exclusive")
     if everywhere:
         named = _output("config", "--global", "--type=path", "--get", "core.attributesFile")
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
         return Scope("--global", Path(named) if named else config / "git" / "attributes")
     top = _top()
     if top is None:
-        raise CannotError("this is no git repository; start one with `git init`, or say --global")
+        raise CannotError("this is not a git repository; create one with `git init`, or pass --global")
     return Scope("--local", top / ".gitattributes")
 
 
 def _top() -> Path | None:
-    """The top folder of the repository here; None where there is none, or one without files."""
+    """Return the top folder of the current repository; None if there is none, or if it has no working tree."""
     found = _output("rev-parse", "--show-toplevel")
     return Path(found) if found else None
 
@@ -143,7 +145,7 @@ def _settings(scope: Scope, section: str) -> str:
 
 
 def _add_lines(file: Path) -> bool:
-    """Add the patterns that are missing; other lines stay as they are."""
+    """Add the missing patterns; keep all other lines."""
     text = _read(file)
     missing = [line for line in LINES if line not in text.splitlines()]
     if missing:
@@ -153,7 +155,7 @@ def _add_lines(file: Path) -> bool:
 
 
 def _remove_lines(file: Path) -> bool:
-    """Remove the patterns, and the file where nothing else is in it."""
+    """Remove the patterns, and the file if it contains nothing else."""
     text = _read(file)
     kept = [line for line in text.splitlines(keepends=True) if line.rstrip("\r\n") not in LINES]
     if len(kept) == len(text.splitlines()):

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from simfoundry.frontends.importer import ImportReport
 
 HEADINGS = {
-    "dropped": ("thing was left out", "things were left out"),
-    "changed": ("thing is said in another way", "things are said in another way"),
-    "assumed": ("thing was assumed", "things were assumed"),
+    "dropped": ("element was left out", "elements were left out"),
+    "changed": ("element is expressed differently", "elements are expressed differently"),
+    "assumed": ("value was assumed", "values were assumed"),
 }
 
 
@@ -31,7 +31,7 @@ HEADINGS = {
 )  # fmt: skip
 @click.option(
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="Look up `package://NAME/…` in this folder; may be repeated.",
+    help="Resolve `package://NAME/…` in this folder; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--scene", type=FILE,
@@ -39,7 +39,7 @@ HEADINGS = {
 )  # fmt: skip
 @click.option(
     "--onto", type=FILE,
-    help="Apply the edits of a compiled stage to its document, which keeps its comments.",
+    help="Apply the edits of a compiled stage to this document, keeping its comments.",
 )  # fmt: skip
 @click.option(
     "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
@@ -47,11 +47,11 @@ HEADINGS = {
 )  # fmt: skip
 @click.option(
     "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-    help="Density of links and bodies that state no mass: wood 600, plastics 1100, steel 7800. "
-    "Default: 1000, as simulators take it.",
+    help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
+    "Default: 1000, as in simulators.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
-@click.option("--strict", is_flag=True, help="Exit with 1 if something was left out, changed or assumed.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
 def command(
     files: tuple[Path, ...],
     out: Path | None,
@@ -66,11 +66,11 @@ def command(
 ) -> int:
     """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
 
-    A stage that `compile` wrote gives its own document back, with what was edited in it since: into OUT where that is
-    there, or into the document named by --onto.
+    A stage that `compile` wrote becomes its own document again, with the edits made to the stage: in OUT if that
+    exists, or in the document given by --onto.
 
-    Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
-    Nothing is written for a file that is refused. The exit code is 2 if one was refused.
+    Meshes go to NAME_files beside the document. Every difference between the file and the document is reported. Nothing
+    is written for a file that is rejected; the exit code is then 2.
     """
     from simfoundry.frontends.draft import ImportOptions
     from simfoundry.frontends.importer import import_file
@@ -94,7 +94,7 @@ def command(
             click.echo(_described(report))
         return FINDINGS if strict and report.notes else DONE
     if out is None or out.name.endswith(".yaml"):
-        raise CannotError("several files need a folder to go to: `-o FOLDER`")
+        raise CannotError("several files need an output folder; pass `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
 
 
@@ -113,7 +113,7 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
         for note in imported.notes:
             click.echo(f"  not taken over: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
         for disputed in imported.disputed:
-            click.echo(f"  edited in the document, too: {disputed}; the stage's word stands")
+            click.echo(f"  edited in the document as well: {disputed}; the values of the stage were kept")
     return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
 
 
@@ -141,7 +141,7 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
 
 
 def _guarded(source: Path, target: Path, options: ImportOptions) -> ImportReport:
-    """The report on one file of many: what goes wrong with it stops no other."""
+    """Return the report on one file of many; an error in one file does not stop the others."""
     from simfoundry.errors import SimfoundryError
     from simfoundry.frontends.importer import ImportReport, import_file
     from simfoundry.spec.diagnostics import SpecError
@@ -154,7 +154,7 @@ def _guarded(source: Path, target: Path, options: ImportOptions) -> ImportReport
 
 
 def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportReport:
-    """The report on a stage of ours, whose own document is written."""
+    """Return the report on a stage that was compiled from a document, which is written again."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
     from simfoundry.frontends.importer import ImportReport
     from simfoundry.frontends.usd.compiled import import_stage
@@ -165,7 +165,7 @@ def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportR
 
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
-    """Each file with the document that it becomes; folders keep their shape."""
+    """Return each file with the path of its document; the folder structure is preserved."""
     from simfoundry.frontends.registry import SUFFIXES
 
     for path in files:
@@ -178,7 +178,7 @@ def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
 
 
 def _is_model(path: Path) -> bool:
-    """Return whether to import a file of a folder: no package manifest, and no part that other files include."""
+    """Return whether to import a file found in a folder: not package manifests or files that others include."""
     if path.suffix.lower() not in (".xml", ".json"):
         return True
     with path.open("rb") as stream:
@@ -198,7 +198,7 @@ def _default_name(path: Path) -> str:
 
 
 def _described(report: ImportReport) -> str:
-    """Describe what was imported, and each difference from the file."""
+    """Describe the imported document and each difference from the file."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
     lines += _warned_of_masses(report)
@@ -218,16 +218,16 @@ def _described(report: ImportReport) -> str:
 
 
 def _warned_of_masses(report: ImportReport) -> list[str]:
-    """A warning of links that state no mass, with what they came to weigh as solids of water: often far too much."""
+    """Return a warning about links without a mass, listing the masses assumed at the default density."""
     masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
     if not masses:
         return []
-    count = f"{len(masses)} link states" if len(masses) == 1 else f"{len(masses)} links state"
+    count = f"{len(masses)} link has" if len(masses) == 1 else f"{len(masses)} links have"
     shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
     total = sum(report.assumed_masses.values())
     return [
-        f"warning: {count} no mass, and came to weigh {total:.3g} kg at 1000 kg/m^3, solid: "
-        f"{_listed(shown)}; give their density with --density (wood 600), or write `mass:` for each"
+        f"warning: {count} no mass; as solids at 1000 kg/m^3 the mass is {total:.3g} kg: "
+        f"{_listed(shown)}; set the density with --density (wood 600), or write `mass:` for each"
     ]
 
 
@@ -244,7 +244,7 @@ def _counts(report: ImportReport) -> str:
 
 
 def _table(reports: list[ImportReport]) -> str:
-    """One line a file, and a total."""
+    """Return one line per file, and a total."""
     width = max(len(report.source) for report in reports)
     lines = []
     for report in reports:

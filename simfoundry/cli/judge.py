@@ -16,9 +16,9 @@ from simfoundry.errors import SimfoundryError
 @scene_argument
 @click.argument("conditions", nargs=-1)
 def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
-    """Judge predicates, as 'Inside(cup, bowl)', in a scene: true or false, by how much, and why.
+    """Judge predicates in a scene, such as 'Inside(cup, bowl)': value, margin and explanation.
 
-    Without any, of the scene's own relations. The exit code is 1 if one does not hold.
+    Without predicates, the scene's own relations are judged. The exit code is 1 if one does not hold.
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @subcommand()
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
 @click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
-@click.option("-v", "--verbose", is_flag=True, help="Also show differences that mean nothing, as another order.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
 def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
-    """Show what each commit changed in a document, in the words of the scene, the latest first.
+    """Show what each commit changed in a document, in terms of the scene, latest first.
 
-    What the document extends, and what it refers to, counts too, each time as it was then. The history is that of HEAD,
-    of a revision, or of a range as `main..feature`.
+    Changes in documents that it extends or refers to are included, each as of its commit. The history is that of HEAD,
+    of a revision, or of a range such as `main..feature`.
     """
     from simfoundry.spec.change.git.arguments import document_history
 
@@ -39,7 +39,7 @@ def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json
         for line in step.comparison.lines():
             click.echo(f"  {printable(line)}")
     if not shown:
-        raise CannotError(f"no commit there changes {what[-1]}")
+        raise CannotError(f"no commit in this history changes {what[-1]}")
 
 
 def _plain(step: HistoryEntry) -> dict[str, Any]:

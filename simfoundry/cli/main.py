@@ -1,4 +1,4 @@
-"""Entry point: commands are imported when they are called, so that each starts as fast as it can."""
+"""Entry point of the command line. Each command is imported when it is called, which keeps startup fast."""
 
 from __future__ import annotations
 
@@ -12,46 +12,46 @@ import click
 
 from simfoundry import __version__
 
-# Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
+# Pydantic's search for plugins loads a slow module, a tenth of the run time of `check`.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-gc.set_threshold(100_000)  # modules and documents are built by the ten thousand and stay; looking for cycles is in vain
+gc.set_threshold(100_000)  # tens of thousands of long-lived objects: the cycle collector would find nothing
 
 COMMANDS = {
     "capture": "Turn a capture folder into a scene.",
-    "check": "Check documents and show every finding with its place.",
+    "check": "Check documents and show every finding with its location.",
     "compile": "Compile a scene for simulators.",
-    "cousins": "Make variants of a scene or task that keep its affordances.",
+    "cousins": "Make variants of a scene or task that preserve its affordances.",
     "correlate": "Compare simulated success rates with real ones.",
     "demo": "Reconstruct, compile and run a scene from the project's picture or yours.",
-    "diff": "Show what changed between two documents or revisions.",
-    "doctor": "Show what is installed, what is missing and how to install it.",
+    "diff": "Show the changes between two documents or revisions.",
+    "doctor": "Show installed and missing components, and how to install them.",
     "eval": "Evaluate policies on tasks.",
-    "explain": "Explain the code of a finding, or list all codes.",
+    "explain": "Explain a diagnostic code, or list all codes.",
     "export": "Write a task as BDDL or in the format of the paper's release.",
-    "flatten": "Write a document in full, with what it extends and every default.",
-    "fmt": "Write documents in their canonical form; comments stay.",
+    "flatten": "Write a document in full, with everything it extends and every default.",
+    "fmt": "Rewrite documents in their canonical form, keeping comments.",
     "git": "Set up git to diff and merge documents by meaning.",
     "import": "Turn URDF, MJCF, USD, BDDL or a scene of the paper's release into documents.",
-    "judge": "Judge predicates in a scene: true or false, by how much, and why.",
+    "judge": "Judge predicates in a scene: value, margin and explanation.",
     "log": "Show what each commit changed in a document.",
-    "merge": "Merge two edits of a document by meaning; decide conflicts.",
+    "merge": "Merge two edits of a document by meaning; resolve conflicts.",
     "migrate": "Bring documents of older versions up to date.",
-    "new": "Start a document of any kind, with comments that explain its keys.",
-    "propose": "Propose tasks for a scene, each proved to be possible.",
+    "new": "Create a document of any kind, with comments that explain its keys.",
+    "propose": "Propose tasks for a scene, each verified to be feasible.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
-    "settle": "Let a scene come to rest in physics, with a report.",
+    "settle": "Simulate a scene until it is at rest, with a report.",
     "show": "Show a scene as a tree with sizes and masses.",
     "synthesize": "Render a scene to a capture with sensor noise.",
     "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
 MODULES = {"import": "import_"}
-"""Modules of commands whose names Python keeps for itself."""
+"""Modules of commands whose names are reserved words of Python."""
 
 
 class _Lazy(click.Group):
-    """A group whose commands are modules ``simfoundry.cli.<name>`` with a ``command``."""
+    """Command group that imports ``command`` from ``simfoundry.cli.<name>`` on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -82,7 +82,7 @@ class _Lazy(click.Group):
 def app() -> None:
     """From a captured tabletop to simulator worlds: one typed scene spec, many simulators.
 
-    Exit codes: 0 done, 1 findings, 2 cannot.
+    Exit codes: 0 success, 1 findings, 2 the command could not run.
     """
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option(
     "--resolve", "side", type=click.Choice(["ours", "theirs"]),
-    help="Decide conflicts for one side: --resolve ours FILE [PATH]...",
+    help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...",
 )  # fmt: skip
 @click.option("--git", "driver", is_flag=True, help="Act as git's merge driver: --git %O %A %B %L %P.")
 def command(
@@ -43,19 +43,19 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Merge two edits of a document by meaning, or decide the conflicts that a merge left.
+    """Merge two edits of a document by meaning, or resolve the conflicts of an earlier merge.
 
-    Edits of different things never conflict, whatever lines they are on. Where both sides changed one value differently
-    the document keeps ours, says so under `conflicts`, and cannot be compiled until that is decided: mend the value and
-    remove the entry, or take a side with --resolve, for all of them or at the paths given. The exit code is 1 if there
-    is a conflict, or if the merged document has an error that neither side has.
+    Edits of different values never conflict, regardless of their lines. If both sides changed one value differently,
+    the document keeps ours, lists the value under `conflicts`, and cannot be compiled until the conflict is resolved:
+    correct the value and remove the entry, or choose a side with --resolve, for all conflicts or for the given paths.
+    The exit code is 1 if there is a conflict, or if the merged document has an error that neither side has.
     """
     if driver:
         return _driver(args)
     if side is not None:
         return _resolve(side, args, out, force, as_json)
     if len(args) != 3:
-        raise CannotError("name three files: what both started from, ours and theirs")
+        raise CannotError("pass three files: the common base, ours and theirs")
     base, ours, theirs = map(Path, args)
     return _merge(base, ours, theirs, out, force, as_json)
 
@@ -84,7 +84,7 @@ def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, 
 
 
 def _driver(args: Sequence[str]) -> int:
-    """Merge the second file in place, as git asks for; what is no document is merged line by line, as git would."""
+    """Merge the second file in place, as git expects; files that are not documents are merged line by line."""
     if len(args) != 5:
         raise CannotError(
             f"git gives its merge driver 5 arguments, not {len(args)}; `simfoundry git install` sets it up"
@@ -98,7 +98,7 @@ def _driver(args: Sequence[str]) -> int:
         merged = merge_texts(*texts)
         errors = new_errors(Path(name), merged.text, *texts[1:])
         write_in_place(ours, merged.text)
-    except Exception as error:  # whatever it is, the user has at least what git alone would have given
+    except Exception as error:  # on any failure, fall back to what git alone would have done
         reason = str(error) or type(error).__name__
         click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
         return _by_lines(args)
@@ -109,7 +109,7 @@ def _driver(args: Sequence[str]) -> int:
 
 
 def _by_lines(args: Sequence[str]) -> int:
-    """git's own merge of three texts, into the second; where even that fails ours stays, and git keeps theirs."""
+    """Merge three texts line by line with git, into the second; if that fails, ours stays and git keeps theirs."""
     base, ours, theirs, size, _ = args
     labels = [word for name in ("ours", "base", "theirs") for word in ("-L", name)]
     size_option = [f"--marker-size={size}"] if size.isdigit() and int(size) > 0 else []
@@ -129,9 +129,9 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     from simfoundry.spec.yaml.write import write_tree
 
     if not args:
-        raise CannotError("name the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
+        raise CannotError("pass the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
     file = Path(args[0])
-    if out is not None and out.resolve() != file.resolve():  # in its own place a file is decided as asked
+    if out is not None and out.resolve() != file.resolve():  # resolving in place may overwrite the file
         ensure_replaceable(out, force=force)
     try:
         document = read(file)
@@ -162,7 +162,7 @@ def _text(path: Path) -> str:
 
 
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
-    """Each conflict on a line, the errors, and what to do."""
+    """Print each conflict on a line, the errors, and the next step."""
     for conflict in merged.conflicts:
         click.echo(printable(str(conflict)), err=True)
     if errors:
@@ -170,7 +170,7 @@ def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
     if merged.conflicts:
         click.echo(
             printable(
-                f"mend {name} and remove its `conflicts`, or take a side: simfoundry merge --resolve ours {name}"
+                f"edit {name} and remove its `conflicts`, or choose a side: simfoundry merge --resolve ours {name}"
             ),
             err=True,
         )

@@ -12,11 +12,12 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, print_findings, print_
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Write nothing, and exit with 1 if a document is out of date.")
+@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if a document is out of date.")
 def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
-    """Bring older documents up to date, in place: their version, and keys that were renamed. Comments stay.
+    """Update older documents in place: their version, and keys that were renamed. Comments are kept.
 
-    PATHS are files, or folders with documents below them (default: here). A document's first key names its version.
+    PATHS are files, or folders with documents below them (default: the working folder). A document's first key states
+    its version.
     """
     from simfoundry.runtime.files import write_atomically
     from simfoundry.spec.change.migrate import migrated
@@ -45,7 +46,7 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
         print_json({**listed, "findings": [d.to_json() for d in findings]})
     else:
         for path in newer:
-            click.echo(f"{'would bring' if check else 'brought'} {path} up to date")
+            click.echo(f"{'would update' if check else 'updated'} {path}")
         if findings:
             print_findings(findings)
         count = f"{len(files)} document{'s' if len(files) != 1 else ''}"

@@ -17,27 +17,26 @@ NEXT = {
     "cousins": ("simfoundry check {path}",),
     "policy": ("simfoundry check {path}",),
 }
-"""Next steps with a new document of each kind."""
+"""Next steps for a new document of each kind."""
 
 
 @subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
-@click.option("--name", help="Name the document. Default: after its file.")
+@click.option("--name", help="Name of the document. Default: the name of its file.")
 @click.option("--from", "source", type=FILE, metavar="SCENE",
               help="The scene of a task or the twin of a recipe. Default: the only scene beside PATH.")  # fmt: skip
 @click.option("--extends", type=FILE, metavar="DOCUMENT",
-              help="Make an overlay that says only what differs from this document.")  # fmt: skip
+              help="Create an overlay that states only the differences from this document.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 def command(
     words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
 ) -> None:
-    """Start a valid document with comments that explain its keys.
+    """Create a valid document with comments that explain its keys.
 
-    KIND is scene, task, asset, capture, cousins or policy; it may be left out where PATH says it, as
-    desk.scene.yaml does.
-    Where no folder above PATH is a project (it has a simfoundry.yaml or a .git), the working folder is marked with a
-    simfoundry.yaml, or the closest folder that holds every file named. Where the project has no schemas for editors,
-    they are written into .simfoundry/schemas/.
+    KIND is scene, task, asset, capture, cousins or policy; it may be omitted if PATH implies it, as desk.scene.yaml
+    does. If no folder above PATH is a project (with a simfoundry.yaml or a .git), a simfoundry.yaml is written to the
+    working folder, or to the closest folder that contains every file named. If the project has no editor schemas, they
+    are written to .simfoundry/schemas/.
     """
     from simfoundry.runtime.files import write_atomically
     from simfoundry.spec.editor.new import NewError, kind_and_path, make
@@ -59,15 +58,15 @@ def command(
         return
     click.echo(f"wrote {path}")
     for file in new.marker:
-        click.echo(f"wrote {_shown(str(file))}, which marks the topmost folder of the project")
+        click.echo(f"wrote {_shown(str(file))}, which marks the root of the project")
     for folder in written:
-        click.echo(f"wrote {_shown(folder)}/, with which editors complete and check as you type")
+        click.echo(f"wrote {_shown(folder)}/, which editors use for completion and checks")
     click.echo("next:")
     for step in steps:
         click.echo(f"  {step}")
 
 
 def _shown(folder: str) -> str:
-    """A folder as seen from here, where it lies below."""
+    """Return a path relative to the working folder if it lies below it."""
     path, here = Path(folder), Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else folder

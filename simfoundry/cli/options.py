@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have."""
+"""Arguments and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ camera_option = click.option(
 
 
 def shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Read ``I/N``, I from 1 to N."""
+    """Parse ``I/N``, with I from 1 to N."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
     if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
+        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, such as 2/4")
     return int(match[1]), int(match[2])
 
 
 def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Read ``NAME=VALUE`` pairs."""
+    """Parse ``NAME=VALUE`` pairs."""
     found = {name: value for name, _, value in (text.partition("=") for text in values)}
     for name, value in found.items():
         if not name or not value:
@@ -43,19 +43,19 @@ def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, .
 
 
 def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
-    """Yield the files among ``paths``, and those with a suffix below its folders."""
+    """Yield the files among ``paths``, and the files with a suffix below its folders."""
     for path in paths:
         inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
         if not inside:
-            raise CannotError(f"{path} holds no {noun}: their names end in {suffix}")
+            raise CannotError(f"{path} contains no {noun}; their names end in {suffix}")
         yield from inside
 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Say how a run that somebody stops goes on."""
+    """Print how to resume a run that the user interrupts."""
     try:
         yield
     except KeyboardInterrupt:
-        click.echo(f"stopped; what is done is in {out}, and the same command goes on from there", err=True)
+        click.echo(f"stopped; the results so far are in {out}; repeat the command to resume", err=True)
         sys.exit(130)

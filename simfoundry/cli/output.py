@@ -36,13 +36,13 @@ force_option = click.option(
 
 
 class CannotError(click.ClickException):
-    """Something that cannot be done, said in one sentence."""
+    """A condition that keeps a command from running, stated in one sentence."""
 
     exit_code = CANNOT
 
 
 def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
-    """Turn findings and what cannot be done into output and an exit code; bad input never shows a traceback."""
+    """Turn findings and errors into output and an exit code; bad input never shows a traceback."""
 
     @wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -56,12 +56,12 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
         except ModuleNotFoundError as error:
             name = error.name or "a package"
             raise CannotError(
-                f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists all)"
+                f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists everything)"
             ) from None
         except MemoryError:
             raise CannotError("there is not enough memory for this; use smaller meshes or pictures") from None
         except OSError as error:
-            if error.errno == errno.EPIPE:  # the reader of a pipe has seen enough; click knows what to do
+            if error.errno == errno.EPIPE:  # the reader closed the pipe; click handles this
                 raise
             raise CannotError(f"{error.filename or 'a file'}: {error.strerror or error}") from None
 
@@ -71,7 +71,7 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
 def subcommand(
     name: str | None = None, *, as_json: bool = True, force: bool = False
 ) -> Callable[[Callable[..., int | None]], click.Command]:
-    """Make a function a command that reports, with ``--force`` and ``--json`` behind its own options."""
+    """Turn a function into a reporting command, with ``--force`` and ``--json`` after its own options."""
 
     def decorate(function: Callable[..., int | None]) -> click.Command:
         wrapped: Any = reporting(function)
@@ -79,25 +79,28 @@ def subcommand(
         wrapped.__click_params__ = []
         for option in [json_option] * as_json + [force_option] * force:
             wrapped = option(wrapped)
-        wrapped.__click_params__ += own  # click reverses the list: what is first in it comes last in the help
+        wrapped.__click_params__ += own  # click reverses the list: the first entry comes last in the help
         return click.command(name)(wrapped)
 
     return decorate
 
 
 def print_json(data: Any) -> None:
-    """JSON on standard output."""
+    """Print JSON to standard output."""
     print_json_text(json.dumps(data, indent=2, ensure_ascii=False))
 
 
 def print_json_text(text: str) -> None:
-    """Print JSON; where standard output is not encoded as Unicode, with escapes, which mean the same."""
+    """Print JSON text, with escapes if standard output is not encoded as Unicode."""
     escaped = text if _is_unicode(sys.stdout) else re.sub(r"[^\x00-\x7f]", lambda c: json.dumps(c[0])[1:-1], text)
     click.echo(escaped)
 
 
 def print_document(text: str) -> None:
-    """Print a document exactly; raises :class:`CannotError` where standard output lacks one of its characters."""
+    """Print a document verbatim.
+
+    Raises :class:`CannotError` if the encoding of standard output lacks one of its characters.
+    """
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError as error:
@@ -109,7 +112,7 @@ def print_document(text: str) -> None:
 
 
 def allow_any_text() -> None:
-    """Replace characters that the terminal cannot encode by question marks instead of failing."""
+    """Replace characters that the terminal cannot encode with question marks instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if not _is_unicode(stream) and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -120,7 +123,7 @@ def _is_unicode(stream: TextIO) -> bool:
 
 
 def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
-    """Findings as JSON on standard output, or as a compiler prints them on standard error."""
+    """Print findings as JSON on standard output, or in compiler style on standard error."""
     if as_json:
         print_json({"findings": [d.to_json() for d in findings]})
     elif findings:
@@ -130,12 +133,12 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
 
 
 def in_colour(stream: TextIO) -> bool:
-    """Return whether to color a stream: a terminal whose user did not ask for plain text (https://no-color.org)."""
+    """Return whether to color a stream: a terminal without a request for plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, SceneSpec, Scene]:
-    """Load and lower a scene, with a bar; without ``fetch`` no model of a robot is downloaded."""
+    """Load and lower a scene with a progress bar; without ``fetch`` no robot model is downloaded."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
@@ -149,7 +152,7 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
 
 
 def write_in_place(path: Path, text: str) -> None:
-    """Write the file itself, not a link to it, with the rights that it has."""
+    """Write to the file itself instead of replacing a link to it, and preserve its permissions."""
     from simfoundry.runtime.files import write_atomically
 
     target = path.resolve()
@@ -160,12 +163,12 @@ def write_in_place(path: Path, text: str) -> None:
 
 
 def plural(count: int, noun: str) -> str:
-    """A count with its noun: ``no conflicts``, ``1 conflict``."""
+    """Return a count with its noun: ``no conflicts``, ``1 conflict``."""
     return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"
 
 
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
-    """The camera called ``name``; without one the scene's viewpoint, or its first camera."""
+    """Return the camera called ``name``, by default the scene's viewpoint or its first camera."""
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:
         raise CannotError(f"{scene.name} has no camera; add one under `cameras`")
@@ -177,11 +180,11 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 
 
 LINE_S = 10.0
-"""Longest silence of a command in a log [s]; people who watch one begin to doubt after about that time."""
+"""Longest time without output in a log [s]; people start to suspect a hang after about that long."""
 
 
 def _line_now_and_then() -> Callable[[str, float], None]:
-    """Print what is being done where nothing was said for :data:`LINE_S`."""
+    """Print the current step if nothing has been printed for :data:`LINE_S`."""
     last = time.monotonic()
 
     def say(stage: str, _share: float) -> None:
@@ -195,14 +198,14 @@ def _line_now_and_then() -> Callable[[str, float], None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Show a bar on standard error for long steps, or off a terminal a line now and then.
+    """Show a progress bar for long steps on standard error, or occasional lines if it is not a terminal.
 
-    ``SIMFOUNDRY_PROGRESS=never`` leaves out the lines, for logs that are compared.
+    ``SIMFOUNDRY_PROGRESS=never`` suppresses the lines, for logs that are compared.
     """
     if quiet or (not sys.stderr.isatty() and os.environ.get("SIMFOUNDRY_PROGRESS") == "never"):
         yield lambda stage, share: None
         return
-    if not sys.stderr.isatty():  # without rich, which takes long to import
+    if not sys.stderr.isatty():  # avoid importing rich, which is slow
         yield _line_now_and_then()
         return
     from rich.console import Console

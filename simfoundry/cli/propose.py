@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 @subcommand()
 @scene_argument
 @click.option(
-    "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Propose this many tasks."
+    "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Number of tasks to propose."
 )
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed the order of the proposals.")
-@click.option("--about", multiple=True, metavar="OBJECT", help="Propose tasks about this object only; may be repeated.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the order of proposals.")
+@click.option("--about", multiple=True, metavar="OBJECT", help="Propose only tasks with this object; may be repeated.")
 @click.option(
     "--payload", type=click.FloatRange(0, min_open=True),
-    help="The heaviest object that the robot lifts [kg]. Default: what is known of it.",
+    help="Payload of the robot [kg]. Default: its known payload.",
 )  # fmt: skip
-@click.option("--vlm", metavar="MODEL", help="Ask this model, as `openai:gpt-5`, instead of enumerating affordances.")
-@click.option("--base-url", metavar="URL", help="Ask a server with OpenAI's protocol at this address.")
+@click.option("--vlm", metavar="MODEL", help="Ask this model, e.g. `openai:gpt-5`, instead of enumerating affordances.")
+@click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
-              help="Let the model answer in a typed form, or in the text of the paper's prompt.")  # fmt: skip
-@click.option("-c", "--camera", help="Show the model this camera's picture. Default: the scene's first.")
+              help="Format of the model's answer: typed, or the text of the paper's prompt.")  # fmt: skip
+@click.option("-c", "--camera", help="Camera whose picture the model sees. Default: the scene's first.")
 @click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
-              help="Check in this engine that a reached goal lasts; may be repeated. Default: MuJoCo.")  # fmt: skip
+              help="Engine that checks that a reached goal persists; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="Also list the rejected tasks, with the reasons.")
 def command(
     scene: Path,
@@ -51,10 +51,11 @@ def command(
     rejected: bool,
     as_json: bool,
 ) -> int:
-    """Propose tasks for a scene: what its things afford, or what a model sees, each proved to be possible.
+    """Propose tasks for a scene, from its affordances or a model's suggestions, each verified to be feasible.
 
-    A task is accepted if its names exist, it is not done already, physics finds a state in which it is, a robot can
-    take and reach its things, and no other means the same. The exit code is 1 if there are fewer than asked for.
+    A task is accepted if its names exist, its goal does not hold already, physics finds a state in which the goal
+    holds, a robot can grasp and reach the objects, and no other accepted task is equivalent. The exit code is 1 if
+    there are fewer tasks than requested.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.tasks.context import TaskContext
@@ -121,7 +122,7 @@ def _asked(
 
 
 def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
-    """The scene as a camera sees it, as PNG."""
+    """Render the scene from a camera as PNG."""
     import tempfile
 
     from simfoundry.cli.output import choose_camera

@@ -16,10 +16,10 @@ from simfoundry.cli.output import choose_camera, lower_scene, print_json, subcom
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: SCENE-CAMERA.png.")
 @click.option(
     "--engine", type=click.Choice(["auto", "egl", "osmesa", "raycast"]), default="auto", show_default=True,
-    help="Draw by MuJoCo with EGL or OSMesa, or by the ray caster, which needs no driver.",
+    help="Renderer: MuJoCo with EGL or OSMesa, or the ray caster, which needs no driver.",
 )  # fmt: skip
 def command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
-    """Render a PNG from a camera, without a display."""
+    """Render a PNG from a camera of a scene, without a display."""
     from simfoundry.render.montage import save_png
     from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.worlds.render import choose_engine, render

@@ -20,8 +20,8 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
     """Print the JSON Schema of a kind of document, or write all of them with -o.
 
-    They hold what editors add to JSON Schema: snippets, Markdown, messages. Validators that refuse keywords which they
-    do not know take them with --standard.
+    The schemas include editor extensions of JSON Schema: snippets, Markdown and messages. For validators that reject
+    unknown keywords, use --standard.
     """
     from simfoundry.runtime.files import write_atomically
     from simfoundry.runtime.outputs import ensure_replaceable
@@ -37,5 +37,5 @@ def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> 
             click.echo(str(out / name))
         return
     if kind is None:
-        raise click.UsageError(f"say which: {', '.join(WORDS)}; or write all of them with -o FOLDER")
+        raise click.UsageError(f"name a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
     print_document(texts[f"{kind}.schema.json"])

@@ -16,10 +16,10 @@ from simfoundry.cli.worlds import WorldName
 @click.option("-o", "--out", type=NEW_FILE, help="Write the settled scene to this file.")
 @click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
 def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
-    """Let a scene come to rest, and report what moved.
+    """Simulate a scene until it is at rest, and report how its objects moved.
 
-    Without -o nothing is written. The output is written in canonical form, without the comments of the input. The exit
-    code is 1 if an object fails: it moved, tilted, topples when nudged, penetrates, lost its support, fell, or never
+    Without -o nothing is written. The output is in canonical form, without the comments of the input. The exit code is
+    1 if an object fails: it moved, tilted, topples when nudged, penetrates another, lost its support, fell, or never
     came to rest.
     """
     from simfoundry.runtime.files import write_atomically
@@ -31,7 +31,7 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
         raise CannotError(
-            "write the settled scene beside the original: its paths to meshes are relative to that folder"
+            "write the settled scene beside the original, because its mesh paths are relative to that folder"
         )
     loaded, spec, lowered = lower_scene(scene, as_json)
     if out is not None:
@@ -47,18 +47,18 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
         if not settled.at_rest:
             click.echo("the scene did not come to rest in time")
         elif out is None and not settled.passed:
-            click.echo(f"keep where things came to rest: simfoundry settle {scene} -o {_beside(scene)}")
+            click.echo(f"to keep the settled poses: simfoundry settle {scene} -o {_beside(scene)}")
     return DONE if settled.passed else FINDINGS
 
 
 def _beside(scene: Path) -> Path:
-    """A name for the settled scene: ``desk_settled.scene.yaml``."""
+    """Return a name for the settled scene: ``desk_settled.scene.yaml``."""
     stem, _, rest = scene.name.partition(".")
     return scene.with_name(f"{stem}_settled.{rest}")
 
 
 def settle_table(objects: list[dict[str, object]]) -> str:
-    """A table of what settling did to each object."""
+    """Return a table of the effect of settling on each object."""
     rows = [f"{'object':<22}{'penetration':>16}{'drift':>10}{'tilt':>9}  supports"]
     for o in objects:
         depth = f"{_mm(o['penetration_before'])} -> {_mm(o['penetration_after'])} mm"

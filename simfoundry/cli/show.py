@@ -14,7 +14,7 @@ from simfoundry.cli.output import lower_scene, print_json, subcommand
 @subcommand()
 @scene_argument
 def command(scene: Path, as_json: bool) -> None:
-    """Show a scene as a tree: sizes, masses, joints, and what stands on what."""
+    """Show a scene as a tree: sizes, masses, joints, and support relations."""
     from simfoundry.scene.summary import summary, tree
 
     _, spec, lowered = lower_scene(scene, as_json, fetch=False)

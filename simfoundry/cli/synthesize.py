@@ -14,10 +14,10 @@ from simfoundry.cli.output import choose_camera, lower_scene, print_json, subcom
 @scene_argument
 @camera_option
 @click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture into this folder.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed the sensor noise.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensor noise.")
 @click.option("--masks", is_flag=True, help="Also write instance masks.")
 def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool) -> None:
-    """Render a scene to a capture: colour and depth as a real sensor would see them, with its noise and holes."""
+    """Render a scene to a capture: color and depth with the noise and the holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
     from simfoundry.runtime.outputs import ensure_replaceable
 

@@ -30,7 +30,7 @@ class VerifyResults(NamedTuple):
 
     @property
     def ok(self) -> bool:
-        """Nothing differs without a known reason."""
+        """True if every difference has a known reason."""
         from simfoundry.verify.run import ProofStatus
 
         outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*self.readings, *self.results, *self.rested]
@@ -41,7 +41,7 @@ class VerifyResults(NamedTuple):
 @click.argument("specs", nargs=-1, type=ANY)
 @click.option(
     "--engine", "engines", multiple=True, metavar="NAME",
-    help="Verify in this engine; may be repeated. Default: all that are found.",
+    help="Verify in this engine; may be repeated. Default: all engines found.",
 )  # fmt: skip
 @click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Also measure behaviours.")
 @click.option(
@@ -54,11 +54,11 @@ class VerifyResults(NamedTuple):
 @click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
 @click.option(
     "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
-    help="Give an engine this many seconds for a build.",
+    help="Time limit of an engine for one build [s].",
 )  # fmt: skip
 @click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures to this file.")
 @click.option(
-    "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Run this many engines at a time."
+    "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Number of parallel engines."
 )
 def command(
     specs: tuple[Path, ...],
@@ -73,20 +73,21 @@ def command(
     jobs: int,
     as_json: bool,
 ) -> int:
-    """Load builds of scenes in real simulators, and compare what each holds with the scene.
+    """Load builds of scenes in real simulators and compare the loaded values with the scene.
 
-    SPECS are scenes, or folders of them. Each is compiled afresh; --build takes a finished build of one scene instead.
-    Behaviours are machines with a known answer, as a pendulum, and each scene left alone for two seconds; without SPECS
-    only those machines are measured. Engines are found in this Python, in those that --python names, and
-    in those of SIMFOUNDRY_ENGINES (separated by commas); each runs in a process of its own, so that a crash or a hang
-    is reported and the rest goes on. The exit code is 1 if a quantity differs from the scene and the loss report does
-    not say so, if a behaviour is off without a known reason, or if an engine fails.
+    SPECS are scenes, or folders of them. Each is compiled anew; --build verifies an existing build of one scene
+    instead. Behaviours are measured on test mechanisms with a known answer, such as a pendulum, and on each scene
+    simulated for two seconds; without SPECS only the test mechanisms are measured. Engines are searched in this Python,
+    in the interpreters given by --python, and in those of SIMFOUNDRY_ENGINES (separated by commas). Each runs in its
+    own process, so that a crash or a hang is reported and the others continue. The exit code is 1 if a value differs
+    from the scene without an entry in the loss report, if a behaviour is off without a known reason, or if an engine
+    fails.
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 
     paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
-        raise CannotError("--build takes one scene: the one that the build was made of")
+        raise CannotError("--build needs exactly one scene, from which the build was compiled")
     if not paths and not behaviours:
         raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
     if html is not None:
@@ -111,14 +112,14 @@ def command(
     else:
         _print(verified, found, wanted)
     for name in missing:
-        click.echo(f"{name} is required and was not found, or has nothing to read", err=True)
+        click.echo(f"{name} is required but was not found, or has no build to read", err=True)
     return DONE if verified.ok and not missing else FINDINGS
 
 
 def _subjects(
     stack: ExitStack, paths: Sequence[Path], build: Path | None, found: Found, progress: Callable[[str, float], None]
 ) -> list[SceneBuilds]:
-    """Every scene lowered and compiled for the engines that are there."""
+    """Return every scene, lowered and compiled for the available engines."""
     import tempfile
 
     from simfoundry.assets.cache import Cache
@@ -136,14 +137,14 @@ def _subjects(
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
-                raise CannotError(f"{build} holds none of {targets}: name the folder that `compile -o` made")
+                raise CannotError(f"{build} contains none of {targets}; pass the folder that `compile -o` wrote")
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
 
 
 def _name(path: Path, paths: Sequence[Path]) -> str:
-    """The name of a file without its endings, with its folder if another one has the same name."""
+    """Return a file's name without suffixes, with its folder if another file has the same name."""
     name = path.name.removesuffix(".scene.yaml")
     return f"{path.parent.name}/{name}" if sum(other.name == path.name for other in paths) > 1 else name
 
@@ -206,7 +207,7 @@ def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngi
 
 
 def _finite(data: Any) -> Any:
-    """The same with null for numbers that JSON has no word for."""
+    """Replace numbers that JSON cannot express by null."""
     if isinstance(data, dict):
         return {key: _finite(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -228,7 +229,7 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
         click.echo(tables.rested_table(rested, found) + "\n")
     sections = {
         "differences": tables.details(readings, results, rested),
-        "not kept, and said so": tables.known_lines(readings, results),
+        "lost as reported": tables.known_lines(readings, results),
         "notes": tables.stale_lines(readings),
         "not found": [tables.absent_line(wanted[n]) for n, f in found.items() if f is None],
     }

@@ -1,1 +1,1 @@
-"""Digital cousins: documents that rewrite documents, each variant placed, settled and checked."""
+"""Digital cousins: recipes that produce variants of a scene, each of them placed, settled and checked."""

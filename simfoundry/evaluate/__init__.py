@@ -1,1 +1,1 @@
-"""Tasks in worlds: how rollouts start, what policies see and do, and how well they do it."""
+"""Evaluation of tasks in simulated worlds: resets, policies, rollouts and statistics."""

@@ -1,4 +1,4 @@
-"""The end of the demo: an arm is set beside a table that was captured, and does a small task there."""
+"""Final step of the demo: place an arm beside the captured table and let it do a small task."""
 
 from __future__ import annotations
 
@@ -52,39 +52,43 @@ from simfoundry.worlds.footing import center_of_mass
 from simfoundry.worlds.mounted import camera_of
 
 ARM = "demo_arm"
-"""The arm that is set beside the table: the one that needs no download."""
+"""The arm used: the one that needs no download."""
 
 NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
-"""Distances of the base from the middle between object and target, best first, and its distance from all
-things [m]: its foot is 0.09 m wide, and the elbow needs room beside it."""
+"""Distances of the base from the midpoint between object and target, best first, and its clearance from all objects
+[m]: its foot is 0.09 m wide, and the elbow needs space beside it.
+"""
 
 NEAREST, MARGIN = 0.30, 0.04
-"""Least distance [m] from the base for a grasp from above (0.28 m is measured), and the spared part of the reach."""
+"""Minimum distance [m] from the base for a grasp from above (0.28 m measured), and the safety margin on the reach."""
 
 SIDES = (180, 135, -135, 90, -90)
-"""Directions of the base, seen from the objects: angles to the camera's side [deg]. Opposite, it hides nothing."""
+"""Directions of the base as seen from the objects: angles to the camera's side [deg]. Opposite the camera it occludes
+nothing.
+"""
 
 EDGE = 0.08
-"""The base stands on the table where that leaves this much [m] to its edge."""
+"""Minimum distance from the table's edge [m] for the base to stand on the table."""
 
 ATTEMPTS = 3
-"""Largest number of tasks that are tried until one is done."""
+"""Maximum number of tasks tried until one succeeds."""
 
 PICTURES, SIZE = 5, (400, 300)
-"""Number of pictures in the strip, and their width and height [px]."""
+"""Number of images in the strip, and their width and height [px]."""
 
 SCENE, TASK, STRIP, REPORT = "arm.scene.yaml", "arm.task.yaml", "strip.png", "report.json"
-"""The files that are written."""
+"""Names of the output files."""
 
 CAMERA = "side"
-"""The camera that sees the arm and what it does."""
+"""Name of the camera that shows the arm and its task."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmDemo:
-    """The result of the arm: its ``task`` document and the ``strip`` of pictures, None if there was nothing to do.
+    """The result of the arm: its ``task`` document and the ``strip`` of images, None if there was no task to do.
 
-    ``success`` says whether the goal held at the end, ``seconds`` how long the arm took; ``reason`` why it failed.
+    ``success`` tells if the goal held at the end, ``seconds`` is the duration of the arm's motion; ``reason`` explains
+    a failure.
     """
 
     instruction: str
@@ -95,7 +99,7 @@ class ArmDemo:
     strip: Path | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return {
             "instruction": self.instruction,
             "success": self.success,
@@ -108,7 +112,7 @@ class ArmDemo:
 
 @dataclass(frozen=True, eq=False)
 class _Idea:
-    """A task and where the arm stands for it: ``base`` on the ground [m], facing ``yaw`` [rad]."""
+    """A task and the arm's pose for it: ``base`` on the ground [m], facing ``yaw`` [rad]."""
 
     thing: str
     target: str
@@ -127,9 +131,9 @@ class _Idea:
 
 
 def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
-    """Let the arm do a small task in the scene of a document: its scene, task and pictures are written into ``out``.
+    """Let the arm do a small task in the scene of a document; write its scene, task and images to ``out``.
 
-    Raises :class:`OutputError` where ``out`` holds what no demo wrote, unless ``force``.
+    Raises :class:`OutputError` if ``out`` has files that no demo wrote, unless ``force``.
     """
     if not force:
         _ensure_replaceable(out)
@@ -139,7 +143,7 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
         return ArmDemo("", False, 0.0, str(error))
     _mark(out)
     scene = lower_file(scene_file, Cache.default())
-    done = ArmDemo("", False, 0.0, "nothing here is small enough to be grasped and put somewhere")
+    done = ArmDemo("", False, 0.0, "no object here is small enough to be grasped and placed")
     for idea in islice(_ideas(scene), ATTEMPTS):
         done = _try(idea, scene, scene_file, out)
         if done.success:
@@ -148,7 +152,7 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
 
 
 def _ensure_replaceable(out: Path) -> None:
-    """Raise :class:`OutputError` where replacing ``out`` would destroy what a person made there."""
+    """Raise :class:`OutputError` if replacing ``out`` would destroy a user's files."""
     if not out.is_dir():
         return
     try:
@@ -159,20 +163,22 @@ def _ensure_replaceable(out: Path) -> None:
 
 
 def _mark(out: Path) -> None:
-    """Mark the folder of the demo as a project, where it lies in none: its documents name one another."""
+    """Mark the demo's folder as a project if it is in none, because its documents reference each other."""
     if find_project(out) is not None:
         return
     marker = markers(Project(out.parent))
     if not marker:
         raise OutputError(
-            f"{out.parent} holds other things, too; give the demo a folder of its own, as -o {out.parent}/demo"
+            f"{out.parent} also holds other files; give the demo a folder of its own, such as -o {out.parent}/demo"
         )
     for file, text in marker.items():
         write_atomically(file, text.encode())
 
 
 def _ideas(scene: Scene) -> Iterator[_Idea]:
-    """The possible tasks, best first: into something rather than onto it, and small objects rather than large ones."""
+    """Yield possible tasks, best first: into a container rather than onto a support, and small objects rather than
+    large.
+    """
     robot = lower_robot("arm", RobotSpec(model=ARM), Path())
     fingers = jaws(robot)
     assert fingers is not None
@@ -199,17 +205,17 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
 
 
 def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
-    """True if the object has a place at which the goal would hold."""
+    """Return whether the object has a place at which the goal would hold."""
     found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
     states = [replace(state, poses=MappingProxyType({**state.poses, idea.thing: place.X_WO})) for place in found]
     try:
         return bool(states) and bool(judge.batch(idea.goal, StateBatch.of(judge.scene, states))[0].any())
-    except PredicateError:  # as of what has no cavity
+    except PredicateError:  # raised for objects without a cavity
         return False
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Poses of the arm that reach both, best first: position of its base [m] and the way it faces [rad]."""
+    """Yield base poses from which the arm reaches both objects, best first: position [m] and heading [rad]."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     boxes = {item.name: world_bounds(item, item.X_WO) for item in scene.objects}
@@ -236,18 +242,18 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
 
 
 def _distance(point: Array, box: tuple[Array, Array]) -> float:
-    """From a point to a box, along the ground [m]."""
+    """Horizontal distance from a point to a box [m]."""
     off = np.maximum(np.maximum(box[0][:2] - point[:2], point[:2] - box[1][:2]), 0.0)
     return float(np.linalg.norm(off))
 
 
 def _inset(point: Array, box: tuple[Array, Array]) -> float:
-    """From a point in a box to its nearest side, along the ground [m]."""
+    """Horizontal distance from a point in a box to its nearest side [m]."""
     return float(np.minimum(point[:2] - box[0][:2], box[1][:2] - point[:2]).min())
 
 
 def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
-    """Write the task of an idea, let the expert do it, and draw how it went."""
+    """Write the task of an idea, run the expert on it, and render the result."""
     documents = {SCENE: _scene_text(idea, scene, scene_file, out), TASK: _task_text(idea)}
     with staged(out) as folder:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
@@ -269,10 +275,10 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
-    """The captured scene with the arm in it, and a camera that sees both."""
+    """Text of the captured scene with the arm and a camera that shows both."""
     towards = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
     aside = np.array([-towards[1], towards[0], 0.0])
-    # From the front and a little from the side, so far away [m] that the arm and what it reaches are in the picture.
+    # From the front and slightly from the side, at a distance [m] that shows the arm and its targets.
     eye = idea.base + 1.6 * towards + 0.8 * aside + np.array([0.0, 0.0, 0.8])
     look = idea.base + 0.27 * towards + np.array([0.0, 0.0, 0.3])
     base = Path(os.path.relpath(scene_file.resolve(), out.resolve())).as_posix()
@@ -298,7 +304,9 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Pictures of a rollout side by side, evenly in time, each with when it was: it is played once more for them."""
+    """Images of a rollout side by side at equal intervals, labeled with their times; the rollout is replayed
+    for them.
+    """
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
     panels = [("0.0 s", _picture(world))]
@@ -313,7 +321,7 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """Render the camera of the demo; without a GL driver by ray casts, with the arm as an object among others."""
+    """Render the demo's camera; without a GL driver by ray casting, with the arm as an ordinary object."""
     if choose_engine() is not Engine.RAYCAST:
         return np.asarray(world.render(CAMERA, *SIZE))
     scene, state = world.scene, world.state()
@@ -325,7 +333,7 @@ def _picture(world: World) -> Image:
 
 
 def _robot_object(robot: Robot, state: SceneState) -> SceneObject:
-    """A robot as an object whose joints stand as the state has them."""
+    """Convert a robot to an object whose joints are at their positions in the state."""
     native = mujoco_model(robot)
     assert native is not None
     item = as_object(robot, read_robot(robot, native, f"{robot.name}.")).item

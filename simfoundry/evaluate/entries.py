@@ -1,4 +1,4 @@
-"""Entries of an evaluation: tasks, whole or from a step on, and the policies that are tried on each."""
+"""Entries of an evaluation: tasks, complete or from a given step, and the policies evaluated on each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
 class TaskPart(StrEnum):
-    """The part of a task that is evaluated: all of it, one step alone, or the rest from a step on."""
+    """The part of a task that is evaluated: the whole, a single step, or everything from a step on."""
 
     WHOLE = "whole"
     ALONE = "alone"
@@ -28,14 +28,14 @@ class TaskPart(StrEnum):
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """A task of an evaluation: its document, and the ``step`` where it is not the whole."""
+    """A task of an evaluation: its document, and the ``step`` unless the whole is evaluated."""
 
     path: Path
     part: TaskPart = TaskPart.WHOLE
     step: str = ""
 
     def load(self, cache: Cache | None = None) -> Task:
-        """The task, or the part of it."""
+        """Load the task, or the selected part of it."""
         task = load_task(self.path, cache)
         if self.part is TaskPart.WHOLE:
             return task
@@ -44,7 +44,7 @@ class TaskEntry:
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy of an evaluation: the ``label`` that reports have for it, and what was asked for."""
+    """A policy of an evaluation: its ``label`` in reports, and the text that selects it."""
 
     label: str
     text: str
@@ -55,7 +55,7 @@ class Contender:
 
     @property
     def digest(self) -> str:
-        """Names what was asked for, by the content of its document or recording where it has one."""
+        """Return a digest of the selection, including the content of its document or recording."""
         choice = self.choice()
         if isinstance(choice, PythonClass):
             return choice.digest
@@ -64,15 +64,15 @@ class Contender:
 
 
 def contenders(texts: tuple[str, ...]) -> list[Contender]:
-    """The policies of some texts, each ``POLICY`` or ``LABEL=POLICY``; every label stands once."""
+    """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; labels must be unique."""
     found: list[Contender] = []
     for text in texts:
         match = _LABELLED.fullmatch(text)
         label, policy = match.groups() if match else (_label(text), text)
         if any(label == other.label for other in found):
-            raise SimfoundryError(f"two policies are called `{label}`; give one a name of its own: `NAME={policy}`")
+            raise SimfoundryError(f"two policies have the label `{label}`; give one another label: `NAME={policy}`")
         one = Contender(label, policy)
-        choice = one.choice()  # a policy that cannot be is said now, and not after an hour
+        choice = one.choice()  # report an invalid policy now and not after an hour
         if isinstance(choice, PythonClass):
             choice.find()
         found.append(one)

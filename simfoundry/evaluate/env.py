@@ -2,8 +2,8 @@
 
 An observation is a dictionary of arrays: for each robot ``arm/joints`` [rad or m], ``arm/gripper`` (0 open to 1 closed)
 and ``arm/hand`` (position [m] and quaternion wxyz in the world); ``objects``, shape (objects, 7), likewise; ``joints``
-[rad or m] of the objects; and ``image/camera`` for each camera that was asked for. An action is that of a policy: for
-each robot its joints (positions, or velocities), then its gripper.
+[rad or m] of the objects; and ``image/camera`` for each requested camera. An action is a policy's: for each robot its
+joints (positions or velocities), then its gripper.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from simfoundry.worlds.base import Image
 from simfoundry.worlds.robot import WorldRobot
 
 FASTEST = 3.0
-"""Velocities of an action lie between minus this and this [rad/s or m/s]: DROID's 0.2 rad in a step at 15 Hz."""
+"""Maximum joint velocity of an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz."""
 
 Observations = dict[str, NDArray[Any]]
 
@@ -41,12 +41,12 @@ Observations = dict[str, NDArray[Any]]
 class TaskEnv(gymnasium.Env[Any, Any]):
     """A task that ends (``terminated``) when its goal has held, and is cut off (``truncated``) at its horizon.
 
-    The reward is 1 where the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (at which step each was
-    done, counted from 1, 0 where it was not), ``start`` (the number of the start), and ``trouble``, empty unless the
-    simulation diverged, which cuts the episode off as well. ``reset`` draws one of ``starts`` starts with its seed, or
-    takes ``options={"start": k}``; ``options={"subtask": name}`` starts as that step does, with the goal of that step.
+    The reward is 1 if the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (the step at which each was
+    done, counted from 1, or 0 if it was not), ``start`` (the index of the start), and ``trouble``, empty unless the
+    simulation diverged, which also truncates the episode. ``reset`` draws one of ``starts`` starts with its seed, or
+    takes ``options={"start": k}``; ``options={"subtask": name}`` starts at that step, with its goal.
 
-    ``cameras`` maps cameras of the scene onto (width, height); without any, nothing is rendered.
+    ``cameras`` maps cameras of the scene to (width, height); without any, nothing is rendered.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
@@ -96,22 +96,22 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Go to a start; see the class for ``options``."""
+        """Reset to a start; see the class for ``options``."""
         super().reset(seed=seed)
         options = options or {}
         unknown = sorted(set(options) - {"start", "subtask", "reset_mask"})
         if unknown:
-            raise SimfoundryError(f"reset knows no option `{unknown[0]}`; there are: start, subtask")
+            raise SimfoundryError(f"reset has no option `{unknown[0]}`; there are: start, subtask")
         self._now = self._opened(str(options.get("subtask") or ""))
         k = options.get("start")
         k = int(self.np_random.integers(self._count)) if k is None else int(k)
         if not 0 <= k < self._count:
-            raise SimfoundryError(f"no start {k}; there are {self._count}, counted from 0")
+            raise SimfoundryError(f"there is no start {k}; there are {self._count}, counted from 0")
         self._begin(self._now.start(k, self._count, self._seed, self._cache))
         return self._observation(), self._info(False)
 
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Carry out one action; raises :class:`SimfoundryError` for one of another length, or not finite."""
+        """Apply one action; raises :class:`SimfoundryError` if its length is wrong or a number is not finite."""
         now, task = self._now, self._now.task
         self._controller.apply(checked_action(action, now.robots))
         now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
@@ -127,7 +127,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
     def close(self) -> None:
-        """Let go of the simulators."""
+        """Release the simulators."""
         for opened in self._scenes.values():
             opened.world.close()
         self._scenes.clear()
@@ -158,7 +158,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
 
     def _opened(self, step: str) -> _Opened:
-        """The world of the whole task, or of one step alone: its scene may have other joints' targets."""
+        """Open the world of the whole task, or of one step alone, whose scene may have other joint targets."""
         if step not in self._scenes:
             task = self._whole.alone(step) if step else self._whole
             self._scenes[step] = _Opened(task, self._engine)
@@ -183,14 +183,14 @@ class _Opened:
         self._starts: tuple[RolloutStart, ...] = ()
 
     def start(self, k: int, count: int, seed: int, cache: Cache | None) -> RolloutStart:
-        """The k-th of so many starts; all of them are found when the first is asked for."""
+        """Return the k-th of ``count`` starts; all are computed on first use."""
         if not self._starts:
             self._starts = starts(self.task, count, seed, cache)
         return self._starts[k]
 
 
 def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
-    """Between the joints' limits, or the fastest velocities, and an open and a closed gripper."""
+    """Action space: the joint limits, or the maximum velocities, and the range of the gripper."""
     low, high = [], []
     for robot in robots.values():
         for least, most in robot.limits().values():
@@ -202,7 +202,7 @@ def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
 
 
 def _space(key: str, value: NDArray[Any]) -> spaces.Box:
-    """All that could be seen: positions have no limits that an engine would not overstep a little."""
+    """Observation space of one entry; positions are unbounded because engines overstep limits slightly."""
     if value.dtype == np.uint8:
         return spaces.Box(0, 255, value.shape, np.uint8)
     low, high = (0.0, 1.0) if key.endswith("/gripper") else (-np.inf, np.inf)

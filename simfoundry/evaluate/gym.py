@@ -1,6 +1,6 @@
-"""Importing this registers ``SimFoundry/Task-v0`` with Gymnasium; the simulators are loaded when one is made.
+"""Importing this module registers ``SimFoundry/Task-v0`` with Gymnasium; simulators are loaded on creation.
 
-``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports it by the way.
+``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports it implicitly.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Evaluate policies on tasks: the rollouts that are not there yet, here or in several processes."""
+"""Evaluation of policies on tasks: run the missing rollouts, in this process or in several."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 GIVE_UP = 3
-"""After so many rollouts in a row that a policy did not answer, the others are not tried with it: a server that is gone
-keeps each of them waiting for its whole `timeout`."""
+"""Number of consecutive unanswered rollouts after which a policy's remaining ones are skipped: a stopped server would
+delay each of them by its whole `timeout`.
+"""
 
 SILENCE_S = 3600.0
-"""Longest time that one rollout may take [s]: a minute of simulated time against a slow policy server takes ten."""
+"""Maximum duration of one rollout [s]: a minute of simulated time takes ten minutes with a slow policy server."""
 
 FRAME_EVERY = 3
-"""Control steps from one picture of a video to the next: five a second at 15 Hz."""
+"""Control steps between two images of a video: five images per second at 15 Hz."""
 
 
 @dataclass(frozen=True)
 class EvaluationPlan:
     """The tasks and policies of an evaluation, with its options.
 
-    ``shard`` (i, n) takes every n-th rollout from the i-th on, i from 0. ``cameras`` are those of the videos.
+    ``shard`` (i, n) takes every n-th rollout starting at i, from 0. ``cameras`` are those of the videos.
     """
 
     folder: Path
@@ -77,27 +78,27 @@ class RolloutOutcome:
 
     @property
     def answered(self) -> bool:
-        """True if there is a result: the policy answered, be it with something invalid."""
+        """Return whether there is a result: the policy answered, even if with something invalid."""
         return is_result(self.record)
 
     @property
     def trouble(self) -> str:
-        """The fault of the policy; empty if it answered as policies do."""
+        """Return the policy's fault, empty if its answers were valid."""
         return str(self.record["reason"]) if self.record["end"] in (RolloutEnd.INVALID, RolloutEnd.NO_ANSWER) else ""
 
 
 Seen = Callable[[RolloutOutcome, int, int], None]
-"""Hears what came of each job, how many are done, and how many there are."""
+"""Callback that receives the outcome of each job, the number of finished jobs, and their total."""
 
 
 def task_key(entry: TaskEntry, task: Task) -> str:
-    """The name of a task's folder: with the step, where it is not the whole."""
+    """Return the name of a task's folder, including the step if only a part is evaluated."""
     mark = {TaskPart.WHOLE: "", TaskPart.ALONE: ".", TaskPart.ONWARD: "+"}[entry.part]
     return f"{task.name}{mark}{entry.step}"
 
 
 def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
-    """Every rollout of the plan's shard: tasks, then engines, then policies, then starts."""
+    """List every rollout of the plan's shard, ordered by task, engine, policy and start."""
     first, of = plan.shard
     every = [
         RolloutJob(e, c, k, engine)
@@ -110,7 +111,7 @@ def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
 
 
 def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Load every task and find its starts, so that what is wrong is said before the first rollout."""
+    """Load every task and find its starts, so that errors are reported before the first rollout."""
     check_layout(plan.folder)
     if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
@@ -118,7 +119,7 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
     for entry in plan.entries:
         task = entry.load(cache)
         if task_key(entry, task) in keys:
-            raise SimfoundryError(f"two tasks are called `{task_key(entry, task)}`; name each once")
+            raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; give each task once")
         keys.add(task_key(entry, task))
         need_robots(task)
         starts(task, plan.rollouts, plan.seed, cache, _told(progress, task.name))
@@ -129,12 +130,12 @@ def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callab
 
 
 def pending(plan: EvaluationPlan) -> list[RolloutJob]:
-    """The jobs that no record answers; raises :class:`OutputError` where one belongs to another evaluation."""
+    """List the jobs without a record; raises :class:`OutputError` if a record belongs to another evaluation."""
     return [job for job in jobs(plan) if not _is_done(plan, job)]
 
 
 def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
-    """Carry out the jobs that are not done. Where a policy does not answer any more, its other jobs are left."""
+    """Run the jobs that are not done. If a policy stops answering, its remaining jobs are skipped."""
     waiting = pending(plan)
     silent: Counter[str] = Counter()
     outcomes: list[RolloutOutcome] = []
@@ -149,7 +150,7 @@ def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutco
 def _carried_out(
     plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
 ) -> Iterator[RolloutOutcome]:
-    """Outcomes as they come; jobs that are given up are not begun."""
+    """Yield outcomes as jobs finish; jobs that are given up are not started."""
     if workers == 1 or len(waiting) < 2:
         try:
             for job in waiting:
@@ -180,7 +181,7 @@ def _carried_out(
 
 
 def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome | SimfoundryError:
-    """Carry out one job in a worker, which closes its policies and world when the pool ends."""
+    """Run one job in a worker, which closes its policies and world when the pool ends."""
     at_worker_exit(_close)
     try:
         return carry_out(plan, job)
@@ -189,7 +190,7 @@ def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome
 
 
 def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
-    """One rollout, written where it belongs."""
+    """Run one rollout and write its record."""
     setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
     start, slot = setting.starts[job.index], _slot(plan, job, setting.task)
     about = {**_conditions(job, setting.task, start), **_about(plan, setting.task, start, job.engine)}
@@ -208,7 +209,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
-    """Context that a record holds besides the conditions of its rollout."""
+    """Return the context stored in a record in addition to the conditions of its rollout."""
     regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
     cousin = cousin_of(task)
     return {
@@ -228,7 +229,7 @@ def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -
 
 
 def _model_name(robot: Robot) -> str:
-    """The name by which a document knows a robot, else the file of its model."""
+    """Return a robot's name in the document, else the file of its model."""
     return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
@@ -242,14 +243,14 @@ def _is_done(plan: EvaluationPlan, job: RolloutJob) -> bool:
         if record.get(key) != value:
             what = "policy (its document, recording or code)" if key == "asked" else key
             raise OutputError(
-                f"{slot.path} is of another evaluation: its {what} is {record.get(key)!r}, not {value!r}; "
-                "write to another folder, or remove that one"
+                f"{slot.path} belongs to another evaluation: its {what} is {record.get(key)!r}, not {value!r}; "
+                "choose another folder, or remove this one"
             )
     return True
 
 
 def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, Any]:
-    """Under which conditions a rollout takes place; two of the same are the same to the last bit."""
+    """Return the conditions of a rollout; rollouts with equal conditions are identical to the last bit."""
     return {
         "task": task.name,
         "part": str(job.entry.part),
@@ -285,7 +286,7 @@ def _write_video(path: Path, result: Rollout, rate: float) -> None:
 
 @dataclass(frozen=True)
 class _Setting:
-    """The task, starts, world and judge that the rollouts of a task share in one process."""
+    """The task, starts, world and judge that a task's rollouts share in one process."""
 
     task: Task
     starts: tuple[RolloutStart, ...]
@@ -295,7 +296,7 @@ class _Setting:
 
 @lru_cache(maxsize=1)
 def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
-    """Kept for the next rollout of the same task."""
+    """Return the cached setting of a task, or create it."""
     from simfoundry.predicates import Judge
 
     cache = Cache.default()
@@ -305,11 +306,11 @@ def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Settin
 
 
 _open: dict[tuple[TaskEntry | None, str], Policy] = {}
-"""The policies of this process: a connection lasts as long as it can."""
+"""Open policies of this process: a connection is kept as long as possible."""
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """The policy of a job: the expert is made for each task, others stay connected from task to task."""
+    """Return the policy of a job: the expert is created for each task, others stay connected across tasks."""
     choice = job.contender.choice()
     key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:

@@ -1,1 +1,1 @@
-"""Measures of shapes: the only implementation of each."""
+"""Geometric measures of shapes, each implemented once."""

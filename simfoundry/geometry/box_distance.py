@@ -1,4 +1,4 @@
-"""Bounds on how far a link is from one that is a single box, as table tops are: they decide nearly all such pairs."""
+"""Distance bounds between a link and a single-box link, such as a table top; they decide nearly all such pairs."""
 
 from __future__ import annotations
 
@@ -13,30 +13,33 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Box
 
 ROUNDING = 1e-6
-"""What single precision may be off [m]."""
+"""Upper bound on single-precision rounding errors [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoxField:
-    """The distance from one box; ``middle`` and ``axes`` are its pose in the link, ``half`` its half extents."""
+    """Distance field of a box.
+
+    ``middle`` and ``axes`` are its pose in the link, ``half`` its half extents.
+    """
 
     middle: NDArray[np.float32]
     axes: NDArray[np.float32]
     half: NDArray[np.float32]
 
     def local(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Points in the link's frame, (..., 3), in that of the box."""
+        """Transform points in the link's frame, (..., 3), to the frame of the box."""
         return np.asarray((points - self.middle) @ self.axes)
 
     def lower(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:
-        """A lower bound [m], (n,), of what reaches from ``low`` to ``high`` in the frame of the box, (n, 3) each.
+        """Lower bound [m], (n,), of the distance to regions from ``low`` to ``high`` in the box frame, (n, 3) each.
 
-        It is the widest gap across a face of the box.
+        It is the largest gap across a face of the box.
         """
         return np.asarray(np.maximum(low - self.half, -self.half - high).max(axis=1) - np.float32(ROUNDING))
 
     def upper(self, local: NDArray[np.float32], radius: NDArray[np.float32]) -> Array:
-        """An upper bound [m], (n,): how far the nearest of balls at points in the frame of the box, (n, m, 3), is."""
+        """Upper bound [m], (n,): distance of the nearest of the balls at points in the box frame, (n, m, 3)."""
         off = np.abs(local) - self.half
         outside = np.maximum(off, 0)
         away = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + np.minimum(off.max(axis=-1), 0) - radius
@@ -45,7 +48,7 @@ class BoxField:
 
 @lru_cache(maxsize=256)
 def box_field(form: Form) -> BoxField | None:
-    """The field of a link that is one box; None for any other."""
+    """Return the distance field of a link that is a single box, or None for any other link."""
     if not form.solid or len(form.shapes) != 1 or not isinstance(box := form.shapes[0][0], Box):
         return None
     pose = form.shapes[0][1]

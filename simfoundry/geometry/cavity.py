@@ -1,4 +1,4 @@
-"""The cavity of a link as a grid of signed depths: where a bowl, a drawer or a bin holds things."""
+"""Cavity of a link as a grid of signed depths: the region in which a bowl, drawer or bin contains objects."""
 
 from __future__ import annotations
 
@@ -16,37 +16,36 @@ CELLS = 64
 """Cells along the longest side of a link."""
 
 FINEST = 0.001
-"""Side of a cell at least [m]."""
+"""Smallest side of a cell [m]."""
 
 PLANES = (((1, 0), (0, 1)), ((1, 1), (1, -1)), ((2, 1), (1, -2)), ((1, 2), (2, -1)))
-"""Pairs of level directions at right angles, along which walls are looked for, there and back."""
+"""Number of pairs of perpendicular horizontal directions along which walls are searched, both ways."""
 
 UPWARD = ((2, 1), (2, -1), (0, 1), (0, -1), (1, 1), (1, -1))
-"""Axes of a link and their signs, one of which is up: most things stand along their z."""
+"""Candidate up axes of a link with their signs; z comes first because most objects stand along it."""
 
 SMALLEST = 8
-"""A cavity of fewer cells is none."""
+"""Least number of cells of a cavity."""
 
 LEAST_SHARE = 0.02
-"""Of several hollows, one with a smaller share of the cells of the largest is none: in the loops of 30 mugs with other
-handles there remains up to 0.008 of the mug's, and the smallest compartment of an organizer has 0.28.
-"""
+"""Hollows with a smaller share of the largest hollow's cells are ignored. Of 30 mugs with different handles, the loop
+keeps up to 0.008 of the mug's cells; the smallest compartment of an organizer has 0.28."""
 
 OPEN_SIDES = 0.45
-"""Share of its boundary, floor and roof included, by which a cavity may be open to the sides. The rooms of a shelf are
-open by 0.16 with a back and by 0.31 to 0.38 without one; the loop of a mug's handle by 0.51."""
+"""Largest share of a cavity's boundary, floor and roof included, that may be open to the sides. The compartments of a
+shelf are open by 0.16 with a back and by 0.31 to 0.38 without one; the loop of a mug's handle by 0.51."""
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """Signed depth [m] at the centres of cells, float32, shape (x, y, z): positive in the cavity or in its walls.
+    """Signed depth [m] at cell centres, float32, shape (x, y, z); positive in the cavity or in its walls.
 
-    ``low`` [m] is the centre of the first cell in the link's frame, shape (3,); ``cell`` the side of one [m]. ``up`` is
-    the axis of the link that is up, a unit vector, and ``deep`` [m] how deep it is along that. ``out`` is the way out,
-    a unit vector, or zero where it is closed, or open on opposite sides. ``middle`` and ``size`` [m] are of a ball
-    around it.
+    ``low`` [m] is the centre of the first cell in the link's frame, shape (3,); ``cell`` [m] is the side of a cell.
+    ``up`` is the axis of the link that points up, a unit vector, and ``deep`` [m] is the depth along it. ``out`` is the
+    direction of the opening, a unit vector, or zero if the cavity is closed or open on opposite sides. ``middle`` and
+    ``size`` [m] describe a bounding ball.
     """
 
     depth: NDArray[np.float32]
@@ -59,7 +58,7 @@ class Cavity:
     size: float
 
     def at(self, points: Array) -> Array:
-        """Depth [m] at points in the link's frame, (..., 3) to (...); interpolated, and falling on beyond the grid."""
+        """Depth [m] at points in the link's frame, (..., 3) to (...); interpolated, and decreasing beyond the grid."""
         shape = np.array(self.depth.shape)
         grid = ((points - self.low) / self.cell).astype(np.float32)
         inside = np.clip(grid, 0, (shape - 1.001).astype(np.float32))
@@ -82,20 +81,20 @@ class Cavity:
 
 
 def cavity(form: Form) -> Cavity | None:
-    """The cavity of a link as it mostly stands; None where it has none, however it is turned."""
+    """Return the cavity of a link in its most common orientation; None if it has none in any orientation."""
     return next((found for axis, sign in UPWARD if (found := cavity_upward(form, axis, sign)) is not None), None)
 
 
 def cavity_upward(form: Form, axis: int, sign: int) -> Cavity | None:
-    """The cavity of a link, an axis of which is up, or with a negative sign down; None where nothing is held.
+    """Return the cavity of a link with one of its axes up, or down for a negative sign; None if there is none.
 
-    Found once for links of one shape.
+    Links of equal shape share the result.
     """
     return _cavity(_Key(form), axis, sign)
 
 
 class _Key:
-    """A form, equal to every other of the same parts."""
+    """Cache key of a form, equal for forms with the same parts."""
 
     def __init__(self, form: Form) -> None:
         self.form, self._digest = form, form.digest
@@ -109,9 +108,9 @@ class _Key:
 
 @lru_cache(maxsize=256)
 def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
-    """A grid around a link: its cells' distances outside of it, the centre of the first, and the side of one [m]."""
+    """Return a grid around a link: cell distances outside it, the centre of the first cell, and the cell size [m]."""
     form = key.form
-    if not form.solid or len(form.parts.radius) < 2:  # one convex part has no hollow
+    if not form.solid or len(form.parts.radius) < 2:  # a single convex part has no cavity
         return None
     cell = max(float((form.high - form.low)[:3].max()) / CELLS, FINEST)
     low = form.low[:3] - 2.5 * cell
@@ -129,7 +128,7 @@ def _cavity(key: _Key, axis: int, sign: int) -> Cavity | None:
 
 
 def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) -> NDArray[np.float32]:
-    """Distances of cells outside of parts [m], float32: exact within 2 cells of a face, else no more than the truth."""
+    """Distances of cells outside of parts [m], float32: exact within 2 cells of a face, a lower bound elsewhere."""
     out = np.full(tuple(shape), np.float32(np.inf))
     axes = [low[k] + cell * np.arange(shape[k]) for k in range(3)]
     for number in range(len(parts.radius)):
@@ -150,7 +149,7 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
 
 
 def outside_part(parts: Hulls, number: int, points: Array) -> Array:
-    """Distances of points (n, 3) from one part [m], (n,), by its faces, negative inside; exact for what is round."""
+    """Distances of points (n, 3) from one part [m], (n,), by its faces; negative inside, exact for round parts."""
     rows = parts.part[parts.triangles[:, 0]] == number if len(parts.triangles) else np.zeros(0, bool)
     if rows.any():
         normals = parts.normals[rows]
@@ -166,15 +165,15 @@ def outside_part(parts: Hulls, number: int, points: Array) -> Array:
 
 
 def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> tuple[Mask, Array]:
-    """Free cells that are held, where up is an axis of the grid, and the way out of them, a unit vector or zero.
+    """Free cells enclosed with an axis of the grid up, and the direction of their opening, a unit vector or zero.
 
-    They have a floor beneath, and walls on both sides along two of three axes at right angles, one of which is up.
+    They have a floor below, and walls on both sides along two of three perpendicular axes, one of which is up.
     """
     turned = np.moveaxis(outside, axis, 2)[:, :, ::sign]
-    wall = turned <= 0.75 * cell  # thick enough for no ray to slip through
+    wall = turned <= 0.75 * cell  # thick enough that no ray passes through
     floored = np.logical_or.accumulate(wall, axis=2)
     roofed = np.logical_or.accumulate(wall[:, :, ::-1], axis=2)[:, :, ::-1]
-    standing = wall.copy()  # without what is thickened upward: a cavity ends at its rim
+    standing = wall.copy()  # without the upward thickening: a cavity ends at its rim
     standing[:, :, :-1] &= wall[:, :, 1:]
     around = np.zeros(wall.shape, bool)
     beside = np.zeros(wall.shape, bool)
@@ -196,9 +195,9 @@ def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> 
 
 
 def _enclosed(found: Mask, wall: Mask) -> Mask:
-    """The cells of connected hollows whose sides are closed enough (:data:`OPEN_SIDES`), up to the true walls.
+    """Cells of connected hollows whose sides are sufficiently closed (:data:`OPEN_SIDES`), up to the true walls.
 
-    ``wall`` is thickened: what it covers of ``found`` belongs to the hollow that it touches, and to none outside.
+    ``wall`` is thickened: the cells of ``found`` that it covers belong to the adjacent hollow.
     """
     from scipy.ndimage import binary_dilation, label
 
@@ -206,14 +205,14 @@ def _enclosed(found: Mask, wall: Mask) -> Mask:
     labels, count = label(room)
     boundary, free = np.zeros(count + 1), np.zeros(count + 1)
     for axis in (0, 1, 2):
-        for step in (1, -1):  # nothing wraps around: the grid has a margin of free cells
+        for step in (1, -1):  # the roll cannot wrap around: the grid has a margin of free cells
             beside = np.roll(labels, step, axis) != labels
             boundary += np.bincount(labels[room & beside], minlength=count + 1)
             if axis != 2:
                 open_side = beside & ~np.roll(wall, step, axis)
                 free += np.bincount(labels[room & open_side], minlength=count + 1)
     closed = free < OPEN_SIDES * boundary
-    closed[0] = False  # label 0 is what is no room
+    closed[0] = False  # label 0 is the background
     cells = np.bincount(labels.ravel(), minlength=count + 1) * closed
     closed &= cells >= LEAST_SHARE * cells.max()
     reached = binary_dilation(closed[labels], iterations=2)  # the thickened wall is at most two cells
@@ -221,7 +220,7 @@ def _enclosed(found: Mask, wall: Mask) -> Mask:
 
 
 def _met(wall: Mask, dx: int, dy: int) -> Mask:
-    """Mark the cells from which a level ray meets a wall."""
+    """Mark the cells from which a horizontal ray hits a wall."""
     if abs(dx) < abs(dy):
         return _met(wall.transpose(1, 0, 2), dy, dx).transpose(1, 0, 2)
     if dx < 0:
@@ -235,7 +234,7 @@ def _met(wall: Mask, dx: int, dy: int) -> Mask:
 
 
 def _shifted(layer: Mask, dy: int) -> Mask:
-    """Each cell as the one ``dy`` further along y; none beyond the end."""
+    """Shift cells by ``dy`` along y; cells from beyond the end are empty."""
     out = np.zeros_like(layer)
     if dy == 0:
         return layer

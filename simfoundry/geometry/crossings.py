@@ -1,4 +1,4 @@
-"""What of a line lies within an object: its convex parts as half-spaces."""
+"""Intersections of lines with an object whose convex parts are represented by half-spaces."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from simfoundry.geometry.shapes import Geometry
 from simfoundry.geometry.tessellate import tessellate
 
 SEGMENTS = 32
-"""Sides of round shapes."""
+"""Number of sides with which round shapes are approximated."""
 
 SLIVER = 1e-9
-"""A face with a smaller share of the area of the largest is none: its normal would be rounding."""
+"""Faces with a smaller share of the largest face's area are ignored: rounding errors dominate their normals."""
 
 TOGETHER = 1e-3
-"""Parts that leave at most this gap on a line [m] are one."""
+"""Largest gap on a line [m] across which parts are merged."""
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """Convex parts in the world: part k is where ``normals @ x <= offsets`` in the rows from ``first[k]`` on.
+    """Convex parts in the world: part k is ``normals @ x <= offsets`` for the rows from ``first[k]`` on.
 
-    ``corners`` [m], shape (n, 3), are those of all parts; ``owner``, shape (n,), the part that each belongs to.
+    ``corners`` [m], shape (n, 3), are the corners of all parts; ``owner``, shape (n,), is the part of each.
     """
 
     normals: Array
@@ -37,15 +37,15 @@ class HalfSpaces:
     owner: NDArray[np.intp]
 
     def rows(self, part: int) -> slice:
-        """The half-spaces of a part."""
+        """Rows of the half-spaces of a part."""
         return slice(int(self.first[part]), int([*self.first[1:], len(self.offsets)][part]))
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """A stretch of a line within one part, or several that touch: ``start`` to ``end`` along it [m].
+    """Segment of a line within one part, or several touching parts: from ``start`` to ``end`` along the line [m].
 
-    ``facing`` is the smaller of the cosines between the line and the surfaces at its two ends; 1 is head on.
+    ``facing`` is the smaller of the cosines between the line and the surface normals at its ends; 1 is perpendicular.
     """
 
     start: float
@@ -54,14 +54,14 @@ class Span:
 
     @property
     def width(self) -> float:
-        """Its length [m]."""
+        """Length [m]."""
         return self.end - self.start
 
 
 def solid_of(
     shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True
 ) -> HalfSpaces:
-    """The half-spaces of posed shapes; of those whose corners [m] are to ``keep``."""
+    """Return the half-spaces of posed shapes, restricted to parts whose corners [m] satisfy ``keep``."""
     normals, offsets, corners = [], [], []
     for geometry, X_WG in shapes:
         n, d, c = _half_spaces(geometry)
@@ -78,7 +78,7 @@ def solid_of(
 
 @lru_cache(maxsize=4096)
 def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
-    """Outward normals, offsets and corners of a convex geometry in its own frame, from the faces of its surface."""
+    """Outward normals, offsets and corners of a convex geometry in its own frame, from its surface faces."""
     surface = tessellate(geometry, SEGMENTS)
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
@@ -97,7 +97,7 @@ def bounds(shape: HalfSpaces, axes: Array) -> tuple[Array, Array]:
 
 
 def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[Span]]:
-    """The pieces of each line within the object, in order; ``starts`` [m], shape (n, 3), a unit ``direction``."""
+    """Segments of each line within the object, in order; ``starts`` [m], shape (n, 3), and a unit ``direction``."""
     slope = shape.normals @ direction
     room = shape.offsets - starts @ shape.normals.T
     entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
@@ -105,7 +105,7 @@ def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[S
 
 
 def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
-    """Positions [m] at which lines enter and leave one part, shapes (lines,): first beyond last beside it.
+    """Positions [m] at which lines enter and leave one part, shapes (lines,); entry exceeds exit for a miss.
 
     ``starts`` [m], shape (lines, 3), share a unit ``direction``.
     """
@@ -119,7 +119,7 @@ def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) ->
 
 
 def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
-    """The outward normal of the face of a part through which a line goes in (sign -1) or out (1) at ``at`` [m]."""
+    """Outward normal of the face through which a line enters (sign -1) or leaves (1) a part at ``at`` [m]."""
     rows = shape.rows(part)
     slope = shape.normals[rows] @ direction
     room = shape.offsets[rows] - shape.normals[rows] @ start
@@ -128,7 +128,7 @@ def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at
 
 
 def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]:
-    """Mark the rays from a point [m], shape (3,), that meet the object; ``directions``, shape (n, 3)."""
+    """Mark the rays from a point [m], shape (3,), that hit the object; ``directions``, shape (n, 3)."""
     slope = directions @ shape.normals.T
     room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
     entry, leave = _clipped(shape, room, slope)
@@ -161,7 +161,7 @@ def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: A
 
 
 def _facing(shape: HalfSpaces, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
-    """The cosine between the face of a part and a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
+    """Cosine between a line and the face of a part through which it enters (sign -1) or leaves (1) at ``at`` [m]."""
     rows = shape.rows(part)
     through = sign * slope[rows]
     off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)

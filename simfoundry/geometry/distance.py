@@ -1,4 +1,4 @@
-"""Bounds of the distance between two links in many states, and the pairs of parts that may be nearest."""
+"""Bounds on the distance between two links in many states, and the candidate pairs of nearest parts."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from simfoundry.geometry.poses import Index, Poses, rotate
 
 
 def steepest_together(ways: Array) -> float:
-    """The greatest cosine with up of a push that is a sum of pushes along unit vectors, (k, 3)."""
+    """Largest cosine with up of any non-negative combination of unit vectors, (k, 3)."""
     from scipy.optimize import nnls
 
-    # The push nearest to up is the projection of up on the cone of all of them: its length is the cosine.
+    # The best combination is the projection of up onto the cone that the vectors span: its length is the cosine.
     return float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2)))
 
 
@@ -32,14 +32,14 @@ class LinkPair:
         self.a, self.b, self.one, self.other, self.X_WA, self.X_WB = a, b, one, other, X_WA, X_WB
 
     def at(self, index: Index) -> LinkPair:
-        """Some of the states."""
+        """Select states."""
         return LinkPair(self.a, self.b, self.one, self.other, self.X_WA.at(index), self.X_WB.at(index))
 
 
 def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
-    """Bounds of distances [m], (n,), and the states in which they do not tell on which side of the threshold it is.
+    """Bounds of distances [m], (n,), and the states in which they do not decide the side of the threshold.
 
-    Where a link is one box, the corners of the other's hull tell nearly always.
+    If a link is a single box, the corners of the other link's hull decide nearly all states.
     """
     if (seen := from_box(pair)) is None:
         n = len(pair.X_WA.p)
@@ -50,9 +50,9 @@ def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
 
 
 def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, Array, Index]:
-    """Bounds of the distance [m] and of the cosine of a support, (n,) each, and where they do not tell.
+    """Bounds of the distance [m] and of the support cosine, (n,) each, and the undecided states.
 
-    Where a link is one box, the corners of the other's hull tell nearly always that it is far, or stands on the other.
+    If a link is a single box, the corners of the other link's hull usually decide that it is far away or supported.
     """
     n = len(pair.X_WA.p)
     if (seen := from_box(pair)) is None:
@@ -66,7 +66,7 @@ def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, A
 
 
 def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Index) -> Index:
-    """Write bounds of the distances [m] that are still open into ``found``, (n,); return the states still open then."""
+    """Write bounds of the undecided distances [m] into ``found``, (n,); return the states still undecided."""
     left = []
     for k in open_.tolist():
         bounds = _part_bounds(pair, k, threshold)
@@ -80,7 +80,7 @@ def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Inde
 
 
 def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, up: Array, open_: Index) -> Index:
-    """The same for :func:`box_support`: ``apart`` and ``up``, (n,) each, where parts stand on each other or are far."""
+    """Decide :func:`box_support` by parts: update ``apart`` and ``up``, (n,) each; return the undecided states."""
     left = []
     for k in open_.tolist():
         bounds = _part_bounds(pair, k, limit)
@@ -96,16 +96,16 @@ def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, 
 
 
 def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:
-    """Bounds of the distance in the k-th state, where the first link is raised [m]."""
+    """Bounds of the distance in the k-th state with the first link raised [m]."""
     X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
     return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
 
 
 class FromBox(NamedTuple):
-    """The hull of one link of a pair in the frame of the other, which is one box, in n states.
+    """Hull of one link of a pair in the frame of the other, which is a single box, in n states.
 
-    ``local`` [m], (n, m, 3), are points with a ``radius`` [m] each, which reach from ``low`` to ``high`` [m], (n, 3);
-    ``up`` is the way in which they move in that frame where the first link of the pair is raised, (n, 3).
+    ``local`` [m], (n, m, 3), are points with a ``radius`` [m] each, which lie between ``low`` and ``high`` [m], (n, 3);
+    ``up`` is the direction of their motion in that frame when the first link of the pair is raised, (n, 3).
     """
 
     field: BoxField
@@ -116,17 +116,17 @@ class FromBox(NamedTuple):
     up: NDArray[np.float32]
 
     def lower(self, raised: float = 0.0) -> Array:
-        """A lower bound of the distance [m], (n,), where the first link is raised [m]."""
+        """Lower bound of the distance [m], (n,), with the first link raised [m]."""
         move = np.float32(raised) * self.up
         return self.field.lower(self.low + move, self.high + move)
 
     def upper(self) -> Array:
-        """An upper bound of the distance [m], (n,)."""
+        """Upper bound of the distance [m], (n,)."""
         return self.field.upper(self.local, self.radius)
 
 
 def from_box(pair: LinkPair) -> FromBox | None:
-    """A pair of links seen from that which is one box; None where neither is."""
+    """Return a pair of links in the frame of the one that is a single box; None if neither is."""
     one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
     if box_field(other) is None:
         one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
@@ -144,7 +144,7 @@ def from_box(pair: LinkPair) -> FromBox | None:
 
 
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """A distance [m] that two links have at least, (n,): of the ball around each from the box around the other."""
+    """Lower bound of the distance of two links [m], (n,): from the bounding ball of each to the box of the other."""
     (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
     middle_a, middle_b = X_WA.p + X_WA.R @ ball_a, X_WB.p + X_WB.R @ ball_b
     b_in_a = rotate(X_WA.R.transpose(0, 2, 1), middle_b - X_WA.p)
@@ -155,7 +155,7 @@ def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
 
 
 def candidates(pair: LinkPair, most: Array) -> Candidates:
-    """The parts of two links that may be nearer to each other than ``most`` [m], (n,), by state, the nearest first."""
+    """Part pairs of two links that may be closer than ``most`` [m], (n,), by state, nearest first."""
     X_AB = pair.X_WA.inverse() @ pair.X_WB
     low_a, high_a, ball_a, size_a = pair.one.pieces
     low_b, high_b, ball_b, size_b = pair.other.pieces

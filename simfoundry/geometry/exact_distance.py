@@ -1,4 +1,4 @@
-"""The exact signed distance between convex parts, by MuJoCo's collision functions on poses that we set."""
+"""Exact signed distances between convex parts, from MuJoCo's collision functions at poses that we set."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from simfoundry.geometry.poses import Index, Poses
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 LIFT = 0.001
-"""How far a thing is raised to see which way it is pushed [m]: more than engines let things overlap, less than what
-is round."""
+"""Height by which an object is raised to find contact directions [m]: larger than the penetration that engines allow,
+smaller than the radii of round parts."""
 
 VANISHING = 1e-5
-"""Parts that are nearer than this [m], or overlap by less, have no direction between them: distances are good to
-1e-6."""
+"""Distance or penetration [m] below which the direction between parts is undefined: distances are accurate to 1e-6."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class Candidates(NamedTuple):
-    """Pairs of parts, (m,): the state, the index of a part in either link, and a least distance [m] of the two."""
+    """Pairs of parts, (m,): the state, the part's index in each link, and a lower bound of their distance [m]."""
 
     state: Index
     one: Index
@@ -36,7 +35,7 @@ Shapes = Sequence[tuple[Geometry, Pose]]
 
 
 class Exact:
-    """The shapes of links, each by a name and an index, as MuJoCo's geoms; MuJoCo neither steps nor places them."""
+    """Shapes of links, by name and index, as MuJoCo geoms; MuJoCo neither steps nor places them."""
 
     def __init__(self, links: Mapping[tuple[str, int], Shapes]) -> None:
         import mujoco
@@ -63,9 +62,10 @@ class Exact:
         most: Array,
         enough: float = -np.inf,
     ) -> Array:
-        """Signed distance [m] between two links, (n,), negative where they overlap; at most ``most`` [m], (n,).
+        """Signed distance [m] between two links, (n,), negative if they overlap; at most ``most`` [m], (n,).
 
-        ``near`` are the parts that may be nearer than that. Parts at no more than ``enough`` [m] end the search.
+        ``near`` are the parts that may be closer than that. The search ends at parts no farther apart than ``enough``
+        [m].
         """
         geoms_a, geoms_b = self._geoms[a], self._geoms[b]
         at_a, at_b = self._poses(geoms_a, X_WA), self._poses(geoms_b, X_WB)
@@ -95,12 +95,13 @@ class Exact:
         limit: float,
         enough: float = np.inf,
     ) -> tuple[Index, Array, Array]:
-        """Directions in which the parts of one link push those of another that are no farther than ``limit`` [m].
+        """Directions in which parts of one link push parts of another that are no farther than ``limit`` [m].
 
         Returns the state of each such pair, (m,), its distance [m], (m,), and the unit vector from the second to the
-        first, (m, 3). A push whose cosine with up is ``enough`` ends the search in its state.
+        first, (m, 3). A direction whose cosine with up is at least ``enough`` ends the search in its state.
 
-        The first link is raised by :data:`LIFT` meanwhile: where parts just touch, there is no vector between them.
+        The first link is raised by :data:`LIFT` for the measurement, because the direction between parts that just
+        touch is undefined.
         """
         geoms_a, geoms_b = self._geoms[a], self._geoms[b]
         at_a, at_b = self._poses(geoms_a, Poses(X_WA.p + LIFT * UP, X_WA.R)), self._poses(geoms_b, X_WB)
@@ -122,7 +123,7 @@ class Exact:
             raised = measure(model, data, first + i, second + j, reach, ends)
             if raised > limit + LIFT:
                 continue
-            if abs(raised) < VANISHING:  # raised until it just touches: a little more
+            if abs(raised) < VANISHING:  # raising has made it just touch: raise it slightly more
                 xpos[first + i, 2] += VANISHING
                 raised = measure(model, data, first + i, second + j, reach, ends)
                 xpos[first + i, 2] -= VANISHING
@@ -146,7 +147,7 @@ class Exact:
 
 
 def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
-    """Add a geom to the world of a model; ``meshes`` are the names of the meshes that it has, by identity."""
+    """Add a geom to a model's world body; ``meshes`` are the names of its meshes, by identity."""
     import mujoco
 
     kinds = mujoco.mjtGeom

@@ -1,4 +1,4 @@
-"""Rigid bodies prepared for measuring: the convex parts of one, its extents and bounding balls."""
+"""Rigid bodies prepared for measurements: convex parts, extents and bounding balls."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from simfoundry.geometry.shapes import Geometry
 TURNED = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0]])
 TURNED[3:] /= np.sqrt(2)
 TURNED.setflags(write=False)
-"""The axes along which a thing is boxed: its own, and those turned by 45 degrees about z; shape (5, 3)."""
+"""Axes of an object's bounding boxes: its own, and those rotated by 45 degrees about z; shape (5, 3)."""
 
 FEW = 16
-"""So many states are measured one by one; for more it pays to prepare what they share."""
+"""Number of states up to which each is measured by itself; more states repay the preparation of shared data."""
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """The shapes of a rigid body in its frame, and their convex parts.
+    """Shapes of a rigid body in its frame, and their convex parts.
 
-    Where it is not ``solid`` it touches nothing: its shapes are only seen.
-    ``low`` and ``high`` [m] are the ends along :data:`TURNED`, shape (5,).
+    A form that is not ``solid`` touches nothing: its shapes are only visual. ``low`` and ``high`` [m] are the extents
+    along :data:`TURNED`, shape (5,).
     """
 
     shapes: tuple[tuple[Geometry, Pose], ...]
@@ -37,7 +37,7 @@ class Form:
 
     @classmethod
     def of(cls, shapes: Iterable[tuple[Geometry, Pose]], solid: bool = True) -> Form:
-        """Return the form of posed shapes; meshes must be convex where it is solid."""
+        """Return the form of posed shapes; the meshes of a solid form must be convex."""
         shapes = tuple(shapes)
         return cls(shapes, solid, hulls_of((geometry, pose, 0) for geometry, pose in shapes))
 
@@ -51,9 +51,9 @@ class Form:
         return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
 
     def support(self, states: int) -> tuple[Array, Array]:
-        """Return points [m], (m, 3), and radii [m], (m,), of balls whose hull is that of the parts.
+        """Return points [m], (m, 3), and radii [m], (m,), of balls with the same convex hull as the parts.
 
-        Only for many states it is worth while to leave out the corners within the hull.
+        Corners inside the hull are removed only for many states; for few it is not worth the time.
         """
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
@@ -65,30 +65,30 @@ class Form:
 
     @property
     def low(self) -> Array:
-        """The lower ends along :data:`TURNED` [m], (5,)."""
+        """Lower extents along :data:`TURNED` [m], (5,)."""
         return self._span[0]
 
     @property
     def high(self) -> Array:
-        """The higher ends along :data:`TURNED` [m], (5,)."""
+        """Upper extents along :data:`TURNED` [m], (5,)."""
         return self._span[1]
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
-        """A ball around it: centre [m], shape (3,), and radius [m]."""
+        """Bounding ball: centre [m], shape (3,), and radius [m]."""
         middle = (self.low[:3] + self.high[:3]) / 2
         points, radius = self.support(1)
         return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
 
     @cached_property
     def digest(self) -> bytes:
-        """The SHA-256 of the parts: equal for forms of the same parts."""
+        """SHA-256 of the parts: equal for forms with the same parts."""
         arrays = (self.parts.corners, self.parts.part, self.parts.radius, self.parts.triangles)
         return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in arrays)).digest()
 
     @cached_property
     def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """The bounds of each part: the corners of its box [m], (k, 3) twice, and a ball around it, (k, 3) and (k,)."""
+        """Bounds of each part: the two corners of its box [m], (k, 3) each, and a ball around it, (k, 3) and (k,)."""
         rows = []
         for k in range(len(self.parts.radius)):
             corners, r = self.parts.corners[self.parts.part == k], float(self.parts.radius[k])
@@ -106,7 +106,7 @@ class Form:
             normals, edges = np.zeros((0, 3)), np.zeros((0, 3))
             if len(parts.triangles):
                 normals = parts.normals[own[parts.triangles[:, 0]]]
-                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # one without area has none
+                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # a face without area has no normal
             if len(parts.edges):
                 ends = parts.edges[own[parts.edges[:, 0]]]
                 edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
@@ -125,14 +125,14 @@ def _distinct(ways: Array) -> Array:
 
 
 def _is_backward(ways: Array) -> NDArray[np.bool_]:
-    """Mark directions whose first coordinate that is not zero is negative: of two opposite ones, one is."""
+    """Mark directions whose first non-zero coordinate is negative: exactly one of two opposite directions."""
     rounded = np.round(ways, 9)
     first = (rounded != 0).argmax(axis=1)
     return np.asarray(rounded[np.arange(len(ways)), first] < 0)
 
 
 def _hull_corners(points: Array) -> Array:
-    """The corners of the hull of points, in their order; all of them where they have no volume."""
+    """Corners of the convex hull of points, in their order; all points if they have no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 5:

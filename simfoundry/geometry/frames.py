@@ -1,7 +1,8 @@
-"""Rigid poses, and the only place where quaternion orders are converted.
+"""Rigid poses, and the only conversion between quaternion orders.
 
 ``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
-:func:`to_xyzw` and :func:`from_xyzw` serve the formats that disagree (PyBullet, numpy views of USD quaternions).
+:func:`to_xyzw` and :func:`from_xyzw` convert for formats with the other order (PyBullet, numpy views of USD
+quaternions).
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 def matrix_from_quat(q: Array) -> Array:
     """Rotation matrix of a unit wxyz quaternion, shape (3, 3)."""
-    w, x, y, z = map(float, q)  # the arithmetic of numpy's own scalars is slow
+    w, x, y, z = map(float, q)  # numpy scalars are slower than Python floats
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -156,7 +157,9 @@ def rpy_from_quat(q: Array) -> Array:
     """Fixed-axis roll-pitch-yaw [rad] of a unit wxyz quaternion (URDF order), shape (3,)."""
     r = matrix_from_quat(q).tolist()
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
-    if math.hypot(r[0][0], r[1][0]) < 1e-9:  # gimbal lock: roll and yaw share one axis, give all of it to yaw
+    if (
+        math.hypot(r[0][0], r[1][0]) < 1e-9
+    ):  # gimbal lock: roll and yaw share one axis; assign the whole rotation to yaw
         return np.array([0.0, pitch, math.atan2(-r[0][1], r[1][1])])
     return np.array([math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])])
 
@@ -179,10 +182,10 @@ def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
 
 
 def to_xyzw(q: Array) -> Array:
-    """Wxyz to xyzw."""
+    """Convert wxyz to xyzw."""
     return np.asarray(q)[..., [1, 2, 3, 0]]
 
 
 def from_xyzw(q: object) -> Array:
-    """Xyzw to wxyz."""
+    """Convert xyzw to wxyz."""
     return np.asarray(q, dtype=np.float64)[..., [3, 0, 1, 2]]

@@ -1,14 +1,14 @@
-"""The width of an object between two parallel fingers that come straight down on it.
+"""Width of an object between two parallel fingers that approach it from straight above.
 
-Each finger is a flat pad. It goes down beside the object or into it (a cup is taken by its wall), so it needs room
-beside what it takes, from its tip up. The pads touch first where what lies between them, above their tips, is widest.
-A grasp counts if it can hold:
+Each finger is a flat pad. It moves down beside the object or into it (a cup is grasped by its wall), so it needs
+clearance beside the grasped part, from its tip upward. The pads make contact first where the object between them, above
+their tips, is widest. A grasp counts if it can hold:
 
 * at least one pad lies flat on the object over the width of the pad (:data:`UNEVEN`); the other may touch a ridge,
-* both touch faces that look towards them (:data:`FACING`), and
-* the object does not narrow upward between them (:data:`WEDGE`): a ball is taken at its equator, a plate's rim not.
+* both pads touch faces that are oriented towards them (:data:`FACING`), and
+* the object does not narrow upward between them (:data:`WEDGE`): a ball is held at its equator, a plate's rim is not.
 
-Only the shape counts here: whether an arm reaches it and what stands around it is known elsewhere.
+Only the shape is considered; reachability and neighboring objects are checked elsewhere.
 """
 
 from __future__ import annotations
@@ -22,50 +22,55 @@ import numpy as np
 from simfoundry.geometry.crossings import TOGETHER, HalfSpaces, bounds, face_normal, part_spans
 
 DIRECTIONS = 12
-"""Closing directions over half a turn, every 15 degrees from the one that most of the side faces look along: boxes and
-prisms are measured square, and anything else is at most 7.5 degrees off, where a width is 0.9 % too large."""
+"""Number of closing directions over half a turn: every 15 degrees, starting with the dominant normal of the side faces.
+Boxes and prisms are measured squarely; for other shapes the error is at most 7.5 degrees, which makes a width 0.9 % too
+large."""
 
 PAD = 0.016
-"""Width of a finger pad [m]: those of Franka's hand are 17.5 mm wide, of Robotiq's 2F-85 22 mm, of the YAM's 16 mm."""
+"""Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM."""
 
 SMALL_SHARE = 0.25
-"""Of an object narrower than four pads, a pad covers this share: a marker that stands is held by its round side."""
+"""Share of an object covered by a pad if the object is narrower than four pads: a standing marker is held by its round
+side."""
 
 ROOM = 0.020
-"""Room that a finger needs beside what it takes [m]: 12 mm thick, and 4 mm free on either side as it comes."""
+"""Clearance that a finger needs beside the grasped part [m]: 12 mm of finger, and 4 mm on either side for the
+approach."""
 
 SHALLOWEST, FINGER_LENGTH = 0.010, 0.040
-"""Depth of the finger tips below the top of an object [m]: pads are about 20 mm long and cover at least half of
-themselves; 40 mm below the top the palm touches. A tall object is entered down to its middle, wherever that is."""
+"""Range of depths of the fingertips below the top of an object [m]: pads are about 20 mm long and need contact on at
+least half of that; at 40 mm the palm touches the object. Tall objects are grasped down to their middle."""
 
 SOLE = 0.001
-"""Height of the finger tips above the foot of an object at least [m]: it mostly stands on something."""
+"""Least height of the fingertips above the bottom of an object [m], which usually stands on a surface."""
 
 UPRIGHT = 1e-3
-"""Vertical part of the unit normal of an upright face at most: a millimetre on a metre."""
+"""Largest vertical component of the unit normal of an upright face: a slope of a millimetre per metre."""
 
 UNEVEN = 0.25
-"""Depth by which a face may recede over the width of a pad, as a share of that: 14 degrees, within the cone of friction
-of rubber on anything (0.3 and more)."""
+"""Depth by which a face may recede over the width of a pad, as a share of that width: 14 degrees, within the friction
+cone of rubber on any material (coefficient of 0.3 or more)."""
 
 FACING = 0.9
-"""Least cosine between a pad's normal and that of the face that it touches: 26 degrees, the cone of a friction of 0.5,
-which is that of rubber pads on dry plastic, glazed ceramic or wood."""
+"""Least cosine between the normals of a pad and of the face that it touches: 26 degrees, the friction cone of a
+coefficient of 0.5, that of rubber pads on dry plastic, glazed ceramic or wood."""
 
 WEDGE = 0.2
-"""Greatest upward part of the two normals' mean: beyond it the object slips down out of the pads where the friction is
-below 0.2, which is that of wet or polished surfaces. Of a ball, pads may be 12 degrees above the equator."""
+"""Largest upward component of the mean of the two normals: beyond it, the object slips out of the pads if the friction
+coefficient is below 0.2, as on wet or polished surfaces. On a ball, pads may be 12 degrees above the equator."""
 
 LINES = 5
-"""Lines across a pad, from edge to edge: at most 4 mm apart, as thick as the thinnest handle that holds anything."""
+"""Number of lines across a pad, from edge to edge: at most 4 mm apart, the thickness of the thinnest usable handle."""
 
 ROWS, ROW = (8, 24), 0.004
-"""Number of depths of the tips that are tried, at least and at most, and the distance between two of them [m] in
-between: a bar of 8 mm is met twice."""
+"""Least and greatest number of fingertip depths to try, and the spacing between them [m]: an 8 mm bar is hit twice."""
 
 
 class _Run(NamedTuple):
-    """What a finger line meets above some depth: ``start`` to ``end`` [m], and the line and part at either end."""
+    """Intersection of a finger line with the object above some depth.
+
+    It reaches from ``start`` to ``end`` [m]; the line and the part at either end are recorded.
+    """
 
     start: float
     end: float
@@ -74,9 +79,9 @@ class _Run(NamedTuple):
 
 
 def grasp_width(solid: HalfSpaces) -> float:
-    """Return the least opening [m] of two fingers from above that hold an object as it stands; inf if none does.
+    """Return the least opening [m] of two fingers from above that hold an object in its pose; inf if none does.
 
-    It is measured between the outermost points of what the pads take, on lines a few millimetres apart.
+    The width is measured between the outermost points of the grasped part, on lines a few millimetres apart.
     """
     best, first = math.inf, _main_direction(solid)
     for k in range(DIRECTIONS):
@@ -85,7 +90,7 @@ def grasp_width(solid: HalfSpaces) -> float:
 
 
 def _main_direction(solid: HalfSpaces) -> float:
-    """Azimuth [rad] in [0, pi), to a degree, that most upright faces look along; 0 if there are none."""
+    """Azimuth [rad] in [0, pi), to a degree, of the dominant normal of the upright faces; 0 if there are none."""
     upright = solid.normals[np.abs(solid.normals[:, 2]) < UPRIGHT]
     if not len(upright):
         return 0.0
@@ -95,7 +100,7 @@ def _main_direction(solid: HalfSpaces) -> float:
 
 
 class _Closing:
-    """All that fingers may take that close along one level direction."""
+    """Everything that fingers closing along one horizontal direction may grasp."""
 
     def __init__(self, solid: HalfSpaces, azimuth: float) -> None:
         self._solid = solid
@@ -109,7 +114,7 @@ class _Closing:
         shallow = min(SHALLOWEST, height / 2)
         deep = max(height / 2, min(FINGER_LENGTH, height - SOLE))
         rows = int(np.clip(math.ceil((deep - shallow) / ROW) + 1, *ROWS))
-        # Above the shallowest tips nothing is taken, but what is there must pass between the fingers.
+        # Nothing above the shallowest fingertips is grasped, but it must fit between the fingers.
         depths = np.concatenate([[0.02 * shallow, 0.5 * shallow], np.linspace(shallow, deep, rows)])
         self._skipped = 2
         a, z = np.meshgrid(across, high[2] - depths, indexing="xy")
@@ -136,13 +141,13 @@ class _Closing:
             if row < self._skipped:
                 continue
             for line in range(lines - LINES + 1):
-                # Below what is upright nothing changes, and what has been found is all there is.
+                # Below the upright faces nothing changes, so deeper fingertips find no further widths.
                 if row == self._skipped or any(changed[line : line + LINES]):
                     best = self._between(above[line : line + LINES], best)
         return best
 
     def _between(self, above: Sequence[list[_Run]], best: float) -> float:
-        """Return the width of the narrowest that a pad's lines hold, if it is below ``best``."""
+        """Return the width of the narrowest part that the lines of a pad hold, at most ``best``."""
         runs = _merged([run for line in above for run in line])
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:
@@ -183,7 +188,7 @@ class _Closing:
 
 
 def _merged(runs: list[_Run]) -> list[_Run]:
-    """Return the union of runs, in order; what is nearly together is one."""
+    """Return the union of runs, in order; runs separated by less than a small gap are merged."""
     if len(runs) < 2:
         return runs
     found: list[_Run] = []

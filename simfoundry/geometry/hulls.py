@@ -1,8 +1,8 @@
-"""The convex parts of an object as corners, edges and triangles in the world: what placing measures on.
+"""Convex parts of an object as corners, edges and triangles in the world, for placement.
 
 A part is a polyhedron that may be rounded: a sphere is a corner with a radius, a capsule an edge with one. A cylinder
-counts as a prism around it whose corners stand out by at most :data:`PROUD`, and by 5 ppm of its radius where that is
-more than 10 m; everything else is exact.
+is represented by a circumscribed prism whose corners protrude by at most :data:`PROUD`, or by 5 ppm of its radius for
+radii above 10 m; everything else is exact.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, S
 Index = NDArray[np.int64]
 
 PROUD = 5e-5
-"""How far the corners of the prism around a cylinder stand out of it [m], at most."""
+"""Largest protrusion of the corners of the prism around a cylinder [m]."""
 
 MOST_SIDES = 1024
-"""Sides that the prism around a cylinder has at most."""
+"""Largest number of sides of the prism around a cylinder."""
 
 FLAT = 1e-12
-"""An edge between triangles whose normals' cosine differs from 1 by less than this is none."""
+"""Edges between triangles whose normals have a cosine within this of 1 are ignored as flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,9 @@ class Hulls:
     """Convex parts of an object.
 
     ``corners`` [m], shape (n, 3); ``edges`` and ``triangles`` index them, shapes (k, 2) and (m, 3); ``normals`` point
-    outward, shape (m, 3); ``beside`` names the two triangles at an edge, or -1, shape (k, 2). ``part`` gives the part
-    of each corner, shape (n,); ``radius`` [m] and ``link`` its rounding and the index of its link, shape (parts,).
+    outward, shape (m, 3); ``beside`` are the two triangles adjacent to an edge, or -1, shape (k, 2). ``part`` is the
+    part of each corner, shape (n,); ``radius`` [m] and ``link`` are each part's rounding and link index, shape
+    (parts,).
     """
 
     corners: Array
@@ -49,17 +50,17 @@ class Hulls:
     link: Index
 
     def extent(self, axis: Array) -> tuple[float, float]:
-        """The lowest and the highest coordinate along a unit vector [m]."""
+        """Lowest and highest coordinate along a unit vector [m]."""
         along, radius = self.corners @ axis, self.radius[self.part]
         return float((along - radius).min()), float((along + radius).max())
 
     def bounds(self) -> tuple[Array, Array]:
-        """The low and high corner [m] of the box around all parts along the axes of the world, shape (3,) each."""
+        """Low and high corner [m] of the world-axis bounding box of all parts, shape (3,) each."""
         radius = self.radius[self.part][:, None]
         return (self.corners - radius).min(axis=0), (self.corners + radius).max(axis=0)
 
     def middle(self, rotation: Array) -> Array:
-        """The centre [m] of the box around all parts along the columns of ``rotation``, shape (3,)."""
+        """Centre [m] of the bounding box of all parts along the columns of ``rotation``, shape (3,)."""
         return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
 
     def size(self) -> Array:
@@ -68,20 +69,20 @@ class Hulls:
         return np.asarray(high - low)
 
     def posed(self, X_AB: Pose) -> Hulls:
-        """The same parts in another frame."""
+        """Return the same parts in another frame."""
         return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
 
     def moved(self, offset: Array) -> Hulls:
-        """The same parts elsewhere."""
+        """Return the parts translated."""
         return self._with(self.corners + offset, self.triangles, self.normals)
 
     def flipped(self) -> Hulls:
-        """The mirror image below the plane z = 0."""
+        """Return the mirror image at the plane z = 0."""
         mirror = np.array([1.0, 1.0, -1.0])
         return self._with(self.corners * mirror, self.triangles, self.normals * mirror)
 
     def of_link(self, link: int) -> Hulls:
-        """The parts of one link only; the others stay counted, without any corner."""
+        """Return the parts of one link only; the other parts keep their indices but lose their corners."""
         kept = self.link[self.part] == link
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
@@ -102,7 +103,7 @@ class Hulls:
 
 
 def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
-    """The convex parts of shapes, each with its pose and the index of the link that it belongs to."""
+    """Return the convex parts of shapes, each with its pose and the index of its link."""
     points, sides, rods, part = [], [], [], []
     radii: list[float] = []
     links: list[int] = []
@@ -160,7 +161,7 @@ def _core(geometry: Geometry) -> Core:
 
 @lru_cache(maxsize=64)
 def _prism(radius: float, height: float) -> Core:
-    """The prism around a cylinder, with a multiple of four sides, so that it is exact along its x and y."""
+    """Prism around a cylinder, with a multiple of four sides, so that its x and y extents are exact."""
     half = math.acos(min(radius / (radius + PROUD), 1 - 1e-12))
     sides = min(4 * max(3, math.ceil(math.pi / half / 4)), MOST_SIDES)
     angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
@@ -174,7 +175,7 @@ def _prism(radius: float, height: float) -> Core:
 
 
 def _normals(corners: Array, triangles: Index) -> Array:
-    """Unit normals; a triangle without area has none and gets zeros."""
+    """Unit normals; zeros for triangles without area."""
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -182,7 +183,7 @@ def _normals(corners: Array, triangles: Index) -> Array:
 
 
 def _edges(triangles: Index, normals: Array) -> tuple[Index, Index]:
-    """The edges that are not within a flat face, and the two triangles beside each."""
+    """Edges that are not within a flat face, and the two triangles adjacent to each."""
     if not len(triangles):
         return NO_EDGES, NO_EDGES
     ends = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)

@@ -1,7 +1,8 @@
-"""Bounds of the signed distance of two links in one state, without MuJoCo: enough to decide nearly every threshold.
+"""Bounds on the signed distance of two links in one state, without MuJoCo; they decide nearly every threshold.
 
-Two convex parts are at least as far apart as along any direction that one looks along: of faces, of edges, of the way
-between their nearest points. They are at most as far apart as those two points, which Wolfe's algorithm finds.
+Two convex parts are at least as far apart as their projections on any direction: normals of faces, cross products of
+edges, and the line between their nearest points. They are at most as far apart as those two points, which Wolfe's
+algorithm finds.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import PROUD
 
 ROUNDING = 1e-9
-"""Rounding errors of coordinates of some metres [m]."""
+"""Rounding errors of coordinates of a few metres [m]."""
 
 FEW_EDGES = 24
-"""Edges of both parts together up to which the directions square to two of them are looked along: boxes have twelve."""
+"""Total number of edges of both parts up to which cross products of edges are tested; a box has twelve."""
 
 STEPS = 64
-"""Steps of Wolfe's algorithm; faces of a hundred corners need about twenty."""
+"""Step limit of Wolfe's algorithm; faces with a hundred corners need about twenty steps."""
 
 
 class Interval(NamedTuple):
-    """The distance [m] is at least ``lower`` and at most ``upper``; of overlapping parts, ``upper`` is 0."""
+    """Bounds of a distance [m]: at least ``lower``, at most ``upper``, which is 0 for overlapping parts."""
 
     lower: float
     upper: float
 
 
 class _Part(NamedTuple):
-    """A convex part in the world: its corners (n, 3), rounding [m], unit normals (m, 3) and edge directions (k, 3)."""
+    """Convex part in the world: corners (n, 3), rounding [m], unit normals (m, 3) and edge directions (k, 3)."""
 
     corners: Array
     radius: float
@@ -44,7 +45,7 @@ class _Part(NamedTuple):
 def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Array, Array], limit: float) -> Interval:
     """Return bounds of the distance of two links, each at a position (3,) and rotation (3, 3).
 
-    Parts whose boxes are farther apart than ``limit`` [m] count as that far, and no farther.
+    Parts whose boxes are farther apart than ``limit`` [m] count as exactly that far apart.
     """
     lower, upper = limit, math.inf
     boxes_a, boxes_b = _boxes(a, X_WA), _boxes(b, X_WB)
@@ -58,7 +59,7 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
 
 
 def _boxes(form: Form, X_WF: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The low and high corners of the box around each part, (parts, 3) each."""
+    """Low and high corners of the box around each part, (parts, 3) each."""
     low, high, _, _ = form.pieces
     middle, half = (low + high) / 2 @ X_WF[1].T + X_WF[0], (high - low) / 2 @ np.abs(X_WF[1]).T
     return middle - half, middle + half
@@ -83,15 +84,15 @@ def _part_bounds(a: _Part, b: _Part) -> Interval:
     if apart > ROUNDING:
         axes.append(-nearest[None] / apart)
     ways = np.concatenate(axes)
-    if not len(ways):  # two points, or rods, that meet
+    if not len(ways):  # two points or rods in contact
         return Interval(-rounding, apart - rounding)
     along = (b.corners @ ways.T).min(axis=0) - (a.corners @ ways.T).max(axis=0)
-    slack = PROUD * ((len(a.corners) > 8) + (len(b.corners) > 8))  # prisms around cylinders stand out that much
+    slack = PROUD * ((len(a.corners) > 8) + (len(b.corners) > 8))  # prisms around cylinders protrude by this much
     return Interval(float(along.max()) - rounding - ROUNDING, max(apart - rounding, -rounding) + slack + ROUNDING)
 
 
 def _nearest(a: Array, b: Array) -> Array:
-    """The shortest vector from a point of the hull of ``b`` to one of the hull of ``a``, (3,): Wolfe's algorithm."""
+    """Shortest vector from the hull of ``b`` to the hull of ``a``, (3,), by Wolfe's algorithm."""
     middle = a.mean(axis=0) - b.mean(axis=0)
     corral = _support(a, b, middle)[None]
     weights = np.ones(1)
@@ -118,12 +119,12 @@ def _nearest(a: Array, b: Array) -> Array:
 
 
 def _support(a: Array, b: Array, way: Array) -> Array:
-    """The point of the difference of two hulls that is least far along a direction."""
+    """Support point of the difference of two hulls: the point least far along a direction."""
     return np.asarray(a[(a @ way).argmin()] - b[(b @ way).argmax()])
 
 
 def _affine(points: Array) -> Array:
-    """Weights, of sum 1, of the point nearest to the origin in the flat through points."""
+    """Weights, with sum 1, of the point nearest to the origin in the affine hull of points."""
     k = len(points)
     system = np.ones((k + 1, k + 1))
     system[0, 0], system[1:, 1:] = 0.0, points @ points.T

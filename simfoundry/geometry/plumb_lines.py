@@ -1,4 +1,4 @@
-"""Where plumb lines meet the convex parts of things: what is over a point, and what is under it."""
+"""Intersections of plumb lines with the convex parts of objects: the objects over and under a point."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from simfoundry.geometry.poses import Index, Poses, rotate
 from simfoundry.geometry.shapes import Box
 
 SEAM = 1e-6
-"""A line that passes a part at no more than this [m] meets it: parts of one thing touch with gaps of rounding only."""
+"""Distance at which a line still hits a part [m]: adjacent parts of one object differ only by rounding errors."""
 
 STEEP = 1e-9
-"""A face whose normal has less than this cosine with up stands: a plumb line passes along it."""
+"""Cosine with up below which a face counts as vertical: plumb lines are parallel to it."""
 
 
 AT_ONCE = 400_000
-"""So many edges are looked at together, about 100 MB: a round table top has hundreds."""
+"""Number of edges processed at once, about 100 MB: a round table top has hundreds."""
 
 
 def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Array, Array]:
-    """The states in which plumb lines through points, (n, 3), may meet parts of a body at ``X_WL``.
+    """Find the states in which plumb lines through points, (n, 3), may hit parts of a body at ``X_WL``.
 
-    Of each pair of line and part that may meet: the state, how far within the outline of the part the line is, and
-    where the line enters and leaves it, over the point [m].
+    For each pair of a line and a part that it may hit: the state, the depth of the line within the part's outline, and
+    the heights over the point at which the line enters and leaves the part [m].
     """
     form = _convex(own)
     local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
@@ -42,7 +42,7 @@ def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Arra
 
 @lru_cache(maxsize=256)
 def _convex(form: Form) -> Form:
-    """The form itself, or the box around one that is only seen: its meshes may have any shape and number of faces."""
+    """Return the form itself, or its bounding box if it is only visual: visual meshes can have any shape and size."""
     if form.solid:
         return form
     low, high = form.low[:3], form.high[:3]
@@ -52,7 +52,7 @@ def _convex(form: Form) -> Form:
 def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
     """Distances [m], (n, k), of lines along ``up`` through points (n, 3) from boxes of ``middle`` and ``half``, (k, 3).
 
-    No more than the truth: only the directions square to ``up`` and to an axis of the box are looked along.
+    A lower bound: only the directions perpendicular to ``up`` and to an axis of the box are tested.
     """
     out = np.full((len(points), len(middle)), -np.inf)
     for axis in np.eye(3):
@@ -65,13 +65,12 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 
 
 class _Faces(NamedTuple):
-    """The faces and edges of each part of a form, filled up to one length with what never decides.
+    """Faces and edges of each part of a form, padded to equal length with entries that never decide.
 
-    ``planes`` are outward unit normals and offsets [m], (k, f, 4). Of each edge: ``lines``, the unit vector along it
-    and its moment about the origin [m], (k, e, 6); ``sides``, the sum of the normals beside it crossed with that
-    vector, (k, e, 3); ``beside``, the two normals, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
-    (k, 2, 3), and ``radius`` [m], (k,), is above zero.
-    ``small`` says which have few faces and edges.
+    ``planes`` are outward unit normals and offsets [m], (k, f, 4). For each edge: ``lines``, the unit vector along it
+    and its moment about the origin [m], (k, e, 6); ``sides``, the sum of the adjacent normals crossed with that vector,
+    (k, e, 3); ``beside``, the two adjacent normals, (k, e, 2, 3). For a round part, ``axis`` are its two ends [m], (k,
+    2, 3), and ``radius`` [m], (k,), is positive. ``small`` marks the parts with few faces and edges.
     """
 
     planes: Array
@@ -84,7 +83,8 @@ class _Faces(NamedTuple):
 
 
 SMALL_FACES, SMALL_EDGES = 16, 24
-"""A part of no more faces and edges is small: few have more, and the rest need not be filled up to those."""
+"""Number of faces and edges up to which a part is small; the many small parts are not padded to the size of the few
+large ones."""
 
 
 @lru_cache(maxsize=256)
@@ -111,7 +111,7 @@ def _faces(form: Form) -> _Faces:
         np.zeros((k, most[0], 4)),
         np.zeros((k, most[1], 6)),
         np.zeros((k, most[1], 3)),
-        np.full((k, most[1], 2, 3), np.nan),  # what is filled up looks nowhere, and bounds no outline
+        np.full((k, most[1], 2, 3), np.nan),  # the padding has no direction, and bounds no outline
         np.zeros((k, 2, 3)),
         parts.radius.copy(),
         np.array([len(f) <= SMALL_FACES and len(e) <= SMALL_EDGES for f, e in zip(planes, edges, strict=True)]),
@@ -131,9 +131,9 @@ def _faces(form: Form) -> _Faces:
 
 
 def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Depths [m], (m,), at which lines along ``up`` through points, (m, 3), are within the outlines of parts.
+    """Depths [m], (m,), of lines along ``up`` through points, (m, 3), within the outlines of parts.
 
-    Also how far over the points they enter and leave them [m], (m,) each.
+    Also returns the heights over the points at which they enter and leave the parts [m], (m,) each.
     """
     faces = _faces(form)
     round_ = faces.radius[part] > 0
@@ -161,8 +161,8 @@ def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
         at = room / rising
     top = np.where(rising > STEEP, at, np.inf).min(axis=1)
     bottom = np.where(rising < -STEEP, at, -np.inf).max(axis=1)
-    # The outline is bounded by the edges between a face that looks up and one that looks down. How far a line along
-    # `up` passes an edge, and on which side, are triple products, of which all but `up` and the point are prepared.
+    # The outline is bounded by the edges between a face that points up and one that points down. How far a line along
+    # `up` passes an edge, and on which side, are triple products; everything except `up` and the point is precomputed.
     lines = faces.lines[part]
     looks = (faces.beside[part].reshape(len(part), -1, 3) @ up[:, :, None]).reshape(len(part), -1, 2)
     across = np.sqrt(np.maximum(0.0, 1 - (lines[..., :3] @ up[:, :, None])[..., 0] ** 2))
@@ -175,7 +175,7 @@ def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """The chords of lines in balls and capsules."""
+    """Chords of lines in balls and capsules."""
     first, last, radius = faces.axis[part, 0], faces.axis[part, 1], faces.radius[part]
     along = last - first
     level = along - np.einsum("mi,mi->m", along, up)[:, None] * up

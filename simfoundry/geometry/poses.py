@@ -1,4 +1,4 @@
-"""Many rigid poses at once."""
+"""Arrays of rigid poses."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ class Poses(NamedTuple):
 
     @classmethod
     def of(cls, p: Array, q: Array) -> Poses:
-        """From positions (n, 3) and quaternions wxyz (n, 4) of any length but 0."""
+        """Create poses from positions (n, 3) and non-zero wxyz quaternions (n, 4), which need not be normalized."""
         return cls(np.asarray(p, dtype=np.float64), rotations(np.asarray(q, dtype=np.float64)))
 
     @classmethod
     def constant(cls, pose: Pose, n: int) -> Poses:
-        """One pose n times."""
+        """Repeat one pose n times."""
         return cls(np.broadcast_to(pose.p, (n, 3)), np.broadcast_to(pose.rotation, (n, 3, 3)))
 
     def __matmul__(self, other: Poses) -> Poses:
         return Poses(self.p + rotate(self.R, other.p), self.R @ other.R)
 
     def times(self, pose: Pose) -> Poses:
-        """``X_AC`` with one ``X_BC`` for all."""
+        """Compose with a common ``X_BC``: n poses ``X_AC``."""
         if pose.is_identity:
             return self
         return Poses(self.p + self.R @ pose.p, self.R @ pose.rotation)
 
     def inverse(self) -> Poses:
-        """The n ``X_BA``."""
+        """Return the n inverse poses ``X_BA``."""
         turned = self.R.transpose(0, 2, 1)
         return Poses(-rotate(turned, self.p), turned)
 
     def at(self, index: Index) -> Poses:
-        """Those of some states."""
+        """Select the poses of some states."""
         return Poses(self.p[index], self.R[index])
 
 
 def rotate(turn: Array, v: Array) -> Array:
-    """Each vector by its rotation: (n, 3, 3), (n, 3) to (n, 3)."""
+    """Rotate each vector by its own rotation matrix: (n, 3, 3), (n, 3) to (n, 3)."""
     return np.asarray((turn @ v[:, :, None])[:, :, 0])
 
 
@@ -71,6 +71,6 @@ class Turn:
         self._square = self._skew @ self._skew
 
     def by(self, angle: Array) -> Array:
-        """Rotation matrices by angles [rad], (n,), shape (n, 3, 3)."""
+        """Return the rotation matrices for angles [rad], (n,), shape (n, 3, 3)."""
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
         return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

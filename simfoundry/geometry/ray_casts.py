@@ -1,11 +1,11 @@
-"""Which triangle a ray meets first, for many rays from one point.
+"""First hits of many rays from one point with triangles.
 
-Rays that share an origin need no search tree. Such a ray is a point ``(x, y)`` on the plane z = 1 of a view frame at
-the origin, a triangle covers a region of that plane, and the signed volumes ``d . (v_j x v_k)`` that decide the hit
-are linear in ``(x, y)``, also for triangles that reach behind the origin. The plane is cut into cells; each triangle
-visits the spans of cells it covers and is tested against the rays in them. The same code serves the pixels of a camera
-(one ray a cell) and the points that a light may reach (any number a cell). Everything is float64, and two triangles
-that share an edge decide about it with the same numbers, so no ray slips between them.
+Rays that share an origin need no search tree. Each ray is a point ``(x, y)`` on the plane z = 1 of a view frame at the
+origin, a triangle covers a region of that plane, and the signed volumes ``d . (v_j x v_k)`` that decide the hit are
+linear in ``(x, y)``, even for triangles that extend behind the origin. The plane is divided into cells; each triangle
+visits the spans of cells that it covers and is tested against the rays in them. The same code serves the pixels of a
+camera (one ray per cell) and the points that a light may reach (any number per cell). All computations are float64, and
+two triangles that share an edge test it with identical numbers, so no ray passes between them.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from simfoundry.geometry.frames import Array
 Index = NDArray[np.int64]
 
 NEAREST = 1e-4
-"""Nothing closer to the origin than this along z [m] is seen."""
+"""Near clipping distance along z [m]."""
 
 _CHUNK = 1_000_000
-"""How many pairs of triangle and ray are tested at once; bounds the memory."""
+"""Number of pairs of triangle and ray tested at once; bounds the memory."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells on the plane z = 1: column ``c`` spans ``x0 + c * dx`` to that plus ``wx``, rows likewise in y."""
+    """Cells on the plane z = 1: column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide; rows likewise in y."""
 
     x0: float
     y0: float
@@ -44,8 +44,8 @@ class Grid:
 class Rays:
     """Rays ``(x, y, 1)`` from the origin of a view frame, sorted by cell.
 
-    ``x`` and ``y`` have shape (n,); ``first`` shape (rows * columns + 1,) is where each cell begins; ``order`` shape
-    (n,) is the index that each sorted ray had when it came in.
+    ``x`` and ``y`` have shape (n,); ``first``, shape (rows * columns + 1,), is the start of each cell; ``order``, shape
+    (n,), is the original index of each sorted ray.
     """
 
     grid: Grid
@@ -57,9 +57,9 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The first hit of each ray, in the order in which the rays came in.
+    """First hit of each ray, in the original order of the rays.
 
-    ``triangle`` shape (n,): the index of the triangle, -1 for none; ``inverse_depth`` [1/m] along z, shape (n,), 0 for
+    ``triangle``, shape (n,): the index of the triangle, -1 for none; ``inverse_depth`` [1/m] along z, shape (n,), 0 for
     none; ``weights`` barycentric, shape (n, 3).
     """
 
@@ -68,7 +68,7 @@ class Hits:
     weights: Array
 
     def at(self, rays: Index) -> Hits:
-        """The hits of some of the rays, by their indices."""
+        """Select the hits of some rays by index."""
         return Hits(self.triangle[rays], self.inverse_depth[rays], self.weights[rays])
 
 
@@ -78,29 +78,29 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def unit(a: Array) -> Array:
-    """The rows of ``a``, shape (..., 3), at length one; a row of zeros stays."""
+    """Normalize the rows of ``a``, shape (..., 3); rows of zeros stay zero."""
     return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
 
 
 def turned(R_AB: Array, vectors: Array) -> Array:
-    """Vectors in A of ``vectors`` in B, shape (..., 3); without BLAS, whose threads and last bits vary by machine."""
+    """Rotate ``vectors`` in B, shape (..., 3), to A; without BLAS, whose threads and last bits vary by machine."""
     x, y, z = vectors[..., 0, None], vectors[..., 1, None], vectors[..., 2, None]
     return np.asarray(x * R_AB[:, 0] + y * R_AB[:, 1] + z * R_AB[:, 2])
 
 
 def blend(corners: Array, weights: Array) -> Array:
-    """Values at the corners of triangles, shape (n, 3, d), mixed by barycentric ``weights`` (n, 3): shape (n, d)."""
+    """Interpolate corner values of triangles, shape (n, 3, d), by barycentric ``weights`` (n, 3): shape (n, d)."""
     a, b, c = weights[:, 0, None], weights[:, 1, None], weights[:, 2, None]
     return np.asarray(a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2])
 
 
 def area_normals(corners: Array) -> Array:
-    """Normals of triangles (m, 3, 3), counter-clockwise from outside, as long as twice the area: shape (m, 3)."""
+    """Normals of triangles (m, 3, 3), counter-clockwise from outside, with length twice the area: shape (m, 3)."""
     return _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
-    """Rays through ``samples`` x ``samples`` points in every pixel, in row-major order; pixel centres are integers."""
+    """Rays through ``samples`` x ``samples`` points per pixel, in row-major order; pixel centres are integers."""
     step = 1.0 / samples
     u = (np.arange(width * samples) + 0.5) * step - 0.5
     v = (np.arange(height * samples) + 0.5) * step - 0.5
@@ -111,7 +111,7 @@ def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: flo
 
 
 def scattered_rays(x: Array, y: Array) -> Rays:
-    """Rays ``(x, y, 1)`` in any arrangement, at least one, about two to a cell."""
+    """Rays ``(x, y, 1)`` in any arrangement, at least one, about two per cell."""
     side = max(1, int(np.sqrt(len(x) / 2)))
     x0, y0 = float(x.min()), float(y.min())
     dx = max(float(x.max()) - x0, 1e-12) / side
@@ -125,10 +125,10 @@ def scattered_rays(x: Array, y: Array) -> Rays:
 
 
 def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits:
-    """The nearest of ``triangles`` [m, view frame], shape (m, 3, 3), along each ray.
+    """Find the nearest of ``triangles`` [m, view frame], shape (m, 3, 3), along each ray.
 
-    ``floor`` [1/m], shape (n,), in the order in which the rays came in, asks only for hits of a greater inverse depth:
-    what lies between the origin and a point. Of triangles at one depth, the first wins.
+    ``floor`` [1/m], shape (n,), in the original order of the rays, restricts the search to hits of greater inverse
+    depth, that is, to hits between the origin and a point. Of triangles at equal depth, the first wins.
     """
     kept, edges, plane = _linear_forms(triangles)
     best = np.zeros(len(rays.x)) if floor is None else floor[rays.order].astype(np.float64)
@@ -144,7 +144,7 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
 
 
 def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
-    """Triangles that can be seen at all, their edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
+    """Visible triangles, their edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     edges = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
     volume = a[:, 0] * edges[:, 0, 0] + a[:, 1] * edges[:, 0, 1] + a[:, 2] * edges[:, 0, 2]
@@ -154,7 +154,7 @@ def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products whose sign flips exactly when the arguments are swapped, so that shared edges agree."""
+    """Cross products whose sign flips exactly when the arguments are swapped, so that shared edges are consistent."""
     ax, ay, az = a.T
     bx, by, bz = b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
@@ -174,14 +174,14 @@ def _bounds(triangles: Array) -> tuple[Array, Array]:
 
 
 def _cells(low: Array, high: Array, origin: float, step: float, width: float, count: int) -> tuple[Index, Index]:
-    """First and last cell of one axis that an interval may touch; empty where the last is before the first."""
+    """First and last cell along one axis that an interval may touch; empty if the last precedes the first."""
     first = np.ceil(np.clip((low - origin - width) / step - 1e-6, 0, count))
     last = np.floor(np.clip((high - origin) / step + 1e-6, -1, count - 1))
     return first.astype(np.int64), last.astype(np.int64)
 
 
 def _spans(triangles: Array, edges: Array, rays: Rays) -> tuple[Index, Index, Index]:
-    """For each row of cells that a triangle touches: the triangle, and the first and past-last ray of the span."""
+    """For each row of cells that a triangle touches: the triangle, the first ray of the span, and one past the last."""
     grid = rays.grid
     low, high = _bounds(triangles)
     top, bottom = _cells(low[:, 1], high[:, 1], grid.y0, grid.dy, grid.wy, grid.rows)
@@ -221,7 +221,7 @@ def _test(
     best: Array,
     winner: Index,
 ) -> None:
-    """Test the spans in ``part`` and keep the nearest hits in ``best`` and ``winner``, which this changes."""
+    """Test the spans in ``part`` and keep the nearest hits in ``best`` and ``winner``, which are modified."""
     span, ray = _expand(begin[part], end[part])
     triangle = owner[part][span]
     x, y = rays.x[ray], rays.y[ray]
@@ -232,12 +232,12 @@ def _test(
         hit &= e[triangle, 0] * x + e[triangle, 1] * y + e[triangle, 2] >= 0
     ray, triangle, w = ray[hit], triangle[hit], w[hit]
     np.maximum.at(best, ray, w)
-    nearest = np.flatnonzero(w == best[ray])[::-1]  # reversed: the first triangle of a tie is written last and stays
+    nearest = np.flatnonzero(w == best[ray])[::-1]  # reversed: of tied triangles the first is written last and wins
     winner[ray[nearest]] = triangle[nearest]
 
 
 def _gather(winner: Index, best: Array, kept: Index, edges: Array, rays: Rays) -> Hits:
-    """Back to the order in which the rays came in and the caller's triangle indices."""
+    """Restore the original order of the rays and the caller's triangle indices."""
     triangle = np.full(len(winner), -1, dtype=np.int64)
     inverse_depth, weights = np.zeros(len(winner)), np.zeros((len(winner), 3))
     met = np.flatnonzero(winner >= 0)

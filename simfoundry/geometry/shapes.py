@@ -1,4 +1,4 @@
-"""Shapes in frames of their own: full extents, never half extents; cylinders and capsules along their local z."""
+"""Shapes in local frames: full extents, never half extents; cylinders and capsules along their local z."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Mesh:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hex digits that name this mesh by its content."""
+        """Sixteen hex digits of a content hash that identifies this mesh."""
         h = hashlib.sha256()
         for part in (self.vertices, self.faces, self.uv):
             h.update(b"-" if part is None else str(part.shape).encode() + np.ascontiguousarray(part).tobytes())

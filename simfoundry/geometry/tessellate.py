@@ -14,10 +14,10 @@ Faces = NDArray[np.int32]
 
 
 def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
-    """The surface of a primitive as a mesh in the primitive's own frame; a mesh is returned as it is.
+    """Return the surface of a primitive as a mesh in the primitive's own frame; meshes are returned unchanged.
 
     ``segments`` is the number of edges around z, at least 3. Vertices lie on the true surface, so a round shape loses
-    at most ``radius * (1 - cos(pi / segments))`` [m] of its radius, and the same input gives the same bytes.
+    at most ``radius * (1 - cos(pi / segments))`` [m] of its radius. Equal inputs give equal bytes.
     """
     if segments < 3:
         raise ValueError(f"a round shape needs at least 3 segments, got {segments}")
@@ -46,15 +46,15 @@ def _box(size: Array) -> Mesh:
 
 
 def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list[tuple[float, float]]:
-    """Points ``(r, z)`` of a circle about ``(0, z)`` from angle ``start`` to ``stop`` [rad], measured from +z."""
+    """Points ``(r, z)`` on a circle about ``(0, z)`` from angle ``start`` to ``stop`` [rad], measured from +z."""
     angles = [start + (stop - start) * k / steps for k in range(steps + 1)]
     return [(radius * math.sin(a), z + radius * math.cos(a)) for a in angles]
 
 
 def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
-    """A profile of (radius, height) [m], shape (k, 2), turned about z, as a closed mesh.
+    """Return the solid of revolution of a profile of (radius, height) [m], shape (k, 2), as a closed mesh.
 
-    It starts and ends on the axis, from the top down the outside to the foot.
+    The profile starts and ends on the axis, from the top down the outside to the bottom.
     """
     from simfoundry.assets.lathe import lathe_mesh
 
@@ -62,14 +62,14 @@ def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> 
 
 
 def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
-    """A mesh of arrays that nobody can change any more."""
+    """Return a mesh with read-only arrays."""
     index = np.ascontiguousarray(faces, dtype=np.int32)
     index.setflags(write=False)
     return Mesh(vertices=frozen_array(vertices), faces=index)
 
 
 def hull_mesh(points: Array) -> Mesh | None:
-    """The hull of points [m], shape (n, 3), with at most 64 vertices; None where they lie in one plane."""
+    """Convex hull of points [m], shape (n, 3), with at most 64 vertices; None if the points are coplanar."""
     from simfoundry.assets.convex import hull
     from simfoundry.assets.errors import MeshError
 

@@ -1,11 +1,12 @@
-"""How far one object can be lowered onto another: exact for rounded polyhedra.
+"""Height by which one object can be lowered onto another: exact for rounded polyhedra.
 
-Two convex parts that move towards each other along z touch first where a corner meets a face, a face a corner or an
-edge an edge; where one is rounded, also where a corner meets an edge or a corner. Each such meeting has a closed
-formula for the height at which it happens, if at all. None happens before the first touch, so the highest is that.
+Two convex parts that approach each other along z make first contact corner to face, face to corner, or edge to edge; if
+one is rounded, also corner to edge or corner to corner. Each case has a closed formula for the height of the contact,
+if there is one. No contact occurs before the first one, so the maximum over all cases is the answer.
 
-The upper object is mirrored at z = 0, so that what faces down in it faces up like what it lands on. Then the two have
-the same part in every formula, and a height is the sum of two: that of the lower surface, that of the mirrored one.
+The upper object is mirrored at z = 0, so that its downward faces point up like those of the lower object. Both then
+play the same role in every formula, and a height is the sum of two: that of the lower surface, and that of the mirrored
+one.
 """
 
 from __future__ import annotations
@@ -20,29 +21,30 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls, Index
 
 SHRINK = 1e-6
-"""Share by which the upper object is narrowed, so that what fits exactly between two walls does not stand on them."""
+"""Share by which the upper object is narrowed, so that an object that fits exactly between two walls does not rest on
+them."""
 
 NEAR = 1e-9
-"""How far beyond the border of a face or the end of an edge still counts as on it, as a share of its length."""
+"""Tolerance beyond the border of a face or the end of an edge, as a share of its length."""
 
 STEEP = 1e-9
-"""A face whose unit normal has less than this along z is a wall, which nothing lands on."""
+"""Least z component of a face's unit normal; steeper faces are walls, on which nothing rests."""
 
 PARALLEL = 1e-12
-"""Two edges whose sine, seen from above, is smaller do not cross."""
+"""Least sine of the angle between two crossing edges, seen from above."""
 
 CHUNK = 1 << 21
-"""How many pairs are looked at together, at most."""
+"""Largest number of pairs processed at once."""
 
 Meetings = Iterator[tuple[Index, Index, Array]]
-"""Parts of the one, parts of the other, and the heights at which they meet."""
+"""Part indices of either object, and the heights at which these parts touch."""
 
 
 def heights(above: Hulls, below: Hulls) -> Array:
-    """Heights [m] by which each part of ``above`` must be lifted to touch each part of ``below`` from above.
+    """Heights [m] by which each part of ``above`` must be lifted to rest on each part of ``below``.
 
-    Shape (parts above, parts below); negative where it may be lowered, -inf where no lifting or lowering makes the two
-    touch, because they do not lie above one another.
+    Shape (parts above, parts below); negative if the part may be lowered, -inf if no vertical motion makes the two
+    touch, because they do not overlap in plan view.
     """
     out = np.full((len(above.radius), len(below.radius)), -np.inf)
     a, b = _upper(_narrowed(above).flipped()), _landing(below)
@@ -78,7 +80,7 @@ def _narrowed(shape: Hulls) -> Hulls:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Corners, edges or faces: ``points`` of each, shape (n, 1, 2 or 3, 3), their part, and a box in xy around each."""
+    """Corners, edges or faces: ``points`` of each, shape (n, 1, 2 or 3, 3), their part, and their xy bounding box."""
 
     points: Array
     part: Index
@@ -96,7 +98,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Upper:
-    """Corners, edges and faces of an object that look up, its own parts not hiding one another."""
+    """Upward corners, edges and faces of an object; its own parts do not hide one another."""
 
     corners: _Group
     edges: _Group
@@ -122,11 +124,11 @@ def _upper(shape: Hulls) -> _Upper:
 
 
 _landing = lru_cache(maxsize=16)(_upper)
-"""Many things land on one desk."""
+"""Cached because many objects are placed on one surface."""
 
 
 def _pairs(a: _Group, b: _Group, rounded: bool = False) -> Iterator[tuple[Index, Index]]:
-    """Indices of what may touch by its box in xy; only pairs of which one has a radius where ``rounded``."""
+    """Index pairs whose xy boxes overlap; only pairs with at least one radius if ``rounded``."""
     if not len(a.part) or not len(b.part):
         return
     mine = np.flatnonzero(((a.high >= b.low.min(axis=0)) & (a.low <= b.high.max(axis=0))).all(axis=1))
@@ -181,7 +183,7 @@ def _edges_on_edges(a: _Upper, b: _Upper) -> Meetings:
 
 
 def _corners_on_edges(a: _Upper, b: _Upper) -> Meetings:
-    """A sphere of the two radii about the corner, which comes down until it touches the edge."""
+    """Contacts of a sphere with the sum of the radii, lowered about the corner until it touches the edge."""
     for i, j in _pairs(a.corners, b.edges, rounded=True):
         q = b.edges.points[j, 0]
         along = b.edges.points[j, 1] - q

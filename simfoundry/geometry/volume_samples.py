@@ -1,4 +1,4 @@
-"""Points that are spread evenly over the volume of a link, always the same ones."""
+"""Deterministic points distributed evenly over the volume of a link."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
 
 TRIED = 512
-"""Points that are tried in the box of each part."""
+"""Number of candidate points in the box of each part."""
 
 
 def volume_samples(form: Form, count: int) -> Array:
@@ -38,7 +38,7 @@ def _samples(form: Form, count: int) -> Array:
 
 @lru_cache(maxsize=1)
 def _spread_points() -> Array:
-    """Halton's points of the unit cube, shape (TRIED, 3)."""
+    """Halton sequence in the unit cube, shape (TRIED, 3)."""
     return np.array([[_radical(k, base) for base in (2, 3, 5)] for k in range(1, TRIED + 1)])
 
 

@@ -1,4 +1,4 @@
-"""What stands around a point at its own height: the walls of bowls, drawers and boxes."""
+"""Walls around a point at its own height: those of bowls, drawers and boxes."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls
 
 DIRECTIONS = 16
-"""In how many directions walls are looked for."""
+"""Number of directions in which walls are searched."""
 
 WALLED = 8
-"""Walls in at least this many of :data:`DIRECTIONS` make an inside."""
+"""Number of :data:`DIRECTIONS` with walls from which a point counts as inside."""
 
 FOOT = 5e-4
-"""How far above the lowest point of a thing its foot is [m]."""
+"""Height above the lowest point of an object at which its base is measured [m]."""
 
 LEVELS = (0.0, 0.25, 0.5)
-"""Where walls are looked for, as shares of the height of the thing: rails may leave its foot free."""
+"""Heights at which walls are searched, as shares of the object's height: rails may leave a gap at its base."""
 
 LOW = 0.25
-"""Where the middle of a hollow is measured, as a share of its depth from its floor."""
+"""Height at which the middle of a cavity is measured, as a share of its depth, from its floor."""
 
 
 def surrounded(thing: Hulls, container: Hulls) -> bool:
-    """Return True if walls of the container stand on at least half the sides of an object, at its foot or higher."""
+    """Return True if walls of the container surround at least half the sides of an object, at its base or higher."""
     bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
     lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
     angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
@@ -39,9 +39,9 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
 
 
 def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
-    """The middle of the hollow [m] at ``middle``, between the walls along the container's axes; shape (3,).
+    """Middle of the cavity [m] at ``middle``, between the walls along the container's axes; shape (3,).
 
-    Without walls on both sides along an axis, and where there is no hollow, it stays in the ``middle`` given.
+    Along an axis without walls on both sides, and if there is no cavity, the given ``middle`` is kept.
     """
     top = container.extent(np.array([0.0, 0.0, 1.0]))[1]
     floor = top - free_distance(container, np.array([*middle[:2], top + 1e-6]), np.array([0.0, 0.0, -1.0]))
@@ -61,12 +61,12 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
 
 
 def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
-    """The length of a ray up to the first part [m]; inf if it meets none."""
+    """Length of a ray up to the first part [m]; inf if it hits none."""
     return float(free_distances(shape, start, ray[None])[0])
 
 
 def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
-    """The lengths of rays from one point, shape (n, 3), up to the first part [m], shape (n,); inf if they meet none."""
+    """Lengths of rays from one point, shape (n, 3), up to the first part [m], shape (n,); inf if they hit none."""
     rounded = [_to_rounded(shape, start, ray) for ray in rays] if (shape.radius > 0).any() else math.inf
     return np.asarray(np.minimum(_to_triangles(shape, start, rays), rounded))
 
@@ -87,14 +87,14 @@ def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """The cross product along the last axis: numpy's own takes five times as long for few vectors."""
+    """Cross product along the last axis; numpy's own takes five times as long for few vectors."""
     ax, ay, az = np.moveaxis(a, -1, 0)
     bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
-    """To spheres and capsules, whose edges are tubes between the spheres at their ends."""
+    """Ray lengths up to spheres and capsules, whose edges are tubes between the spheres at their ends."""
     radius = shape.radius[shape.part]
     ball = radius > 0
     tube = radius[shape.edges[:, 0]] > 0
@@ -114,7 +114,7 @@ def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
 
 
 def _entry(offset: Array, ray: Array, radius: Array) -> Array:
-    """The lengths after which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
+    """Lengths at which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
     square = (ray * ray).sum(axis=1)
     half = (offset * ray).sum(axis=1)
     inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)

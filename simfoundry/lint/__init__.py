@@ -1,1 +1,1 @@
-"""Lints: what the language allows and yet will not work, one file a finding, judged on the lowered scene."""
+"""Lints: valid documents that will not work as intended, one module per finding, judged on the lowered scene."""

@@ -12,14 +12,17 @@ from simfoundry.spec.models.expressions import parse_call
 
 
 def broken_relations(subject: Subject) -> Iterator[Diagnostic]:
-    """Find relations that certainly do not hold; those about robots are left out, which may start holding a thing."""
+    """Find relations that certainly do not hold.
+
+    Relations of robots are skipped, because a robot may start while it holds an object.
+    """
     judge = StartJudge(subject.scene)
     for k, text in enumerate(subject.scene.spec.relations):
         call = parse_call(text)
         if call.declaration.before_motion is None and judge.value(text) is False:
             names = tuple(arg.partition(".")[0] for arg in call.args)
             message = f"`{call}` does not hold: {judge.explanation(text)}"
-            hint = "mend the poses, or take the relation out"
+            hint = "correct the poses, or remove the relation"
             yield warning(subject.loaded, "SF406", ("relations", k), message, hint, names)
 
 

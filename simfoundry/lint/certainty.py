@@ -1,4 +1,4 @@
-"""Conditions judged by the predicates at the start of a scene; undecided where a draft does not know enough."""
+"""Judge conditions at the start of a scene; undecided if a draft does not have enough information."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 HULL_DECIDES = ("LeftOf", "RightOf", "Behind", "InFrontOf", "NextTo", "At", "Upright", "Open", "Closed")
-"""Predicates that measure extents and poses only: the hull of an object tells them as its parts do."""
+"""Predicates that measure only extents and poses: the hull of an object gives the same result as its parts."""
 
 NEEDS_TOUCH = ("OnTop", "Inside", "Touching")
-"""Predicates of two objects that are false where even the hulls of the two do not touch."""
+"""Predicates of two objects that are false if not even the hulls of the two touch."""
 
 
 class StartJudge:
-    """Judges conditions on a scene as it starts, before any robot has moved."""
+    """Judges conditions in the initial state of a scene, before any robot has moved."""
 
     def __init__(self, draft: DraftScene) -> None:
         self._draft = draft
@@ -34,7 +34,7 @@ class StartJudge:
         return Judge(self._draft.scene)
 
     def value(self, condition: Any) -> bool | None:
-        """Return whether a condition holds; None where that is uncertain."""
+        """Return whether a condition holds; None if that is uncertain."""
         tag, below = parts(condition)
         if tag == "text":
             return self._call_value(parse_call(below[0]))
@@ -47,7 +47,7 @@ class StartJudge:
         return None if None in values or not values else not decisive
 
     def explanation(self, condition: Any) -> str:
-        """Return the reasons for the value of a condition that is certain, with the numbers."""
+        """Return the reasons, with numbers, for the value of a condition that is certain."""
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(below[0])
@@ -72,7 +72,7 @@ class StartJudge:
         if call.predicate not in HULL_DECIDES and self._draft.approximate:
             if self._is_apart(call):
                 return False
-            if names & self._draft.approximate or call.predicate == "OnTop":  # others may help to support it
+            if names & self._draft.approximate or call.predicate == "OnTop":  # other objects may help to support it
                 return None
         return self._judged(call)
 

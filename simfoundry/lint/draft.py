@@ -1,7 +1,7 @@
-"""A scene as lints judge it: lowered by the same passes as for a compile, but in draft.
+"""Draft scenes for lints: lowered by the same passes as for a compile, but without expensive steps.
 
-A draft does not cut meshes into convex parts: it takes those that the cache has, else the hull. Of an object that is
-known by its hull only, and of what is placed on or in it, lints say what is certain all the same.
+A draft does not decompose meshes into convex parts: it uses cached parts, else the hull. For an object that is known
+only by its hull, and for objects placed on or in it, lints report only what is certain.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from simfoundry.spec.models.task import Start, TaskSpec
 
 @dataclass(frozen=True, eq=False)
 class DraftScene:
-    """A scene in draft, without robots; ``spec`` is its document with what the start of a task changes.
+    """A draft scene without robots; ``spec`` is its document with the changes made by the start of a task.
 
-    ``approximate`` are the objects known by their hulls, ``unplaced`` those whose pose is uncertain.
+    ``approximate`` are the objects known only by their hulls, ``unplaced`` those whose pose is uncertain.
     """
 
     spec: SceneSpec
@@ -46,24 +46,24 @@ class DraftScene:
 
     @cached_property
     def shapes(self) -> dict[str, Hulls]:
-        """The convex parts in the world of each object at a certain pose whose size can be reckoned with."""
+        """World-space convex parts of each object with a certain pose and a usable size."""
         found = {o.name: hulls(o) for o in self.scene.objects if o.name not in self.unplaced}
         return {name: shape for name, shape in found.items() if len(shape.corners) and _is_usable(shape)}
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """The low and high corner [m] of the box around each of these, (3,) each."""
+        """Low and high corner [m] of the bounding box of each of these objects, (3,) each."""
         return {name: shape.bounds() for name, shape in self.shapes.items()}
 
     @cached_property
     def solids(self) -> list[SceneObject]:
-        """Those of these objects that touch others."""
+        """Those of these objects that have colliders."""
         items = (self.scene.by_name[name] for name in self.shapes)
         return [item for item in items if any(link.colliders for link in item.links)]
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """The cameras at their poses in the world, but for those that a robot carries."""
+        """Cameras at their poses in the world, except those mounted on a robot."""
         from simfoundry.scene.kinematics import link_poses
 
         found = {camera.name: camera for camera in self.scene.cameras}
@@ -74,11 +74,11 @@ class DraftScene:
         return {name: found[name] for name in self.spec.cameras if name in found}
 
     def distance(self, a: str, b: str, threshold: float) -> float:
-        """A number [m] on the same side of a threshold as the signed distance of two objects."""
+        """Return a number [m] on the same side of a threshold as the signed distance of two objects."""
         return float(self._distances.between(self._view, self._thing(a), self._thing(b), threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
-        """The depth [m] by which two objects interpenetrate."""
+        """Penetration depth [m] of two objects."""
         measured = Distances(self._bodies)
         return -float(measured.between(self._view, self._thing(a), self._thing(b))[0])
 
@@ -103,9 +103,9 @@ def _is_usable(shape: Hulls) -> bool:
 
 
 def drafted_start(loaded: Loaded) -> DraftScene | None:
-    """The scene that a document is, or that a task starts in; None where that cannot be read.
+    """Return the scene of a document, or the start of a task; None if it cannot be read.
 
-    Raises :class:`SpecError` with what lowering refuses.
+    Raises :class:`SpecError` with the errors of lowering.
     """
     if not isinstance(loaded.spec, TaskSpec):
         return drafted(loaded)
@@ -114,7 +114,7 @@ def drafted_start(loaded: Loaded) -> DraftScene | None:
 
 
 def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
-    """The scene of a document with what starts change in it, the later on top; raises :class:`SpecError`."""
+    """Return the scene of a document with the changes of starts, later ones last; raises :class:`SpecError`."""
     assert isinstance(loaded.spec, SceneSpec)
     spec = with_starts(loaded.spec, starts)
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
@@ -123,7 +123,7 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
 
 
 def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
-    """Yield what lowering refuses in an asset document."""
+    """Yield the errors of lowering an asset document."""
     assert isinstance(loaded.spec, AssetSpec)
     work = ObjectLowering(loaded, Cache.default(), draft=True)
     work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)

@@ -1,4 +1,4 @@
-"""What the goals of a task ask for."""
+"""Conditions that the goals of a task require."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 
 def pending(subject: Subject) -> list[tuple[Call, Path_]]:
-    """The predicates that must come true and do not hold at the start, each with the path of its goal."""
+    """Predicates that must become true and do not hold at the start, each with the path of its goal."""
     task, judge = subject.task, StartJudge(subject.scene)
     goals: list[tuple[Any, Path_]] = [(task.goal, ("goal",))]
     goals += [(subtask.goal, ("subtasks", name, "goal")) for name, subtask in task.subtasks.items()]
@@ -21,7 +21,7 @@ def pending(subject: Subject) -> list[tuple[Call, Path_]]:
 
 
 def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
-    """The predicates that must all come true: not those below `any`, where another may, nor below `not`."""
+    """Predicates that must all become true: those not below `any`, whose alternatives may hold, nor below `not`."""
     tag, below = parts(condition)
     if tag == "text":
         yield parse_call(condition), path

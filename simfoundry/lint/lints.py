@@ -1,4 +1,4 @@
-"""The lints by name, and what each is given: a document of its kind, lowered in draft."""
+"""Lints by name, and their input: a document of the right kind, lowered as a draft."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class Lint:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A document without errors, and the scene that it is or that it starts in; None for an asset."""
+    """A document without errors, and its scene or the scene that it starts in; None for an asset."""
 
     loaded: Loaded
     draft: DraftScene | None = None
 
     @property
     def scene(self) -> DraftScene:
-        """The scene, in draft."""
+        """Draft scene."""
         assert self.draft is not None
         return self.draft
 
     @property
     def task(self) -> TaskSpec:
-        """The task that the document is."""
+        """Task of the document."""
         from simfoundry.spec.models.task import TaskSpec
 
         assert isinstance(self.loaded.spec, TaskSpec)
@@ -50,7 +50,7 @@ class Subject:
 
     @cached_property
     def pending(self) -> list[tuple[Call, Path_]]:
-        """The predicates that the goals of a task ask for and that do not hold yet, each with its path."""
+        """Predicates that the goals of a task require and that do not hold yet, each with its path."""
         from simfoundry.lint.goals import pending
 
         return pending(self)
@@ -71,4 +71,4 @@ LINTS = Registry(
     },
     Lint,
 )
-"""The lints by name, in the order in which they look."""
+"""Lints by name, in the order in which they run."""

@@ -1,4 +1,4 @@
-"""SF412: textures of meshes that cannot be shown."""
+"""SF412: mesh textures that cannot be used."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from simfoundry.lint.lints import Lint, Subject
 from simfoundry.lint.report import warning
 from simfoundry.spec.diagnostics import Diagnostic
 
-HINT = "put the file there, or remove its name from the mesh; the surface is shown plain"
+HINT = "add the file, or remove its name from the mesh; the surface is rendered without a texture"
 
 
 def lost_textures(subject: Subject) -> Iterator[Diagnostic]:
-    """Find the pictures that meshes name and that are missing or cannot be read."""
+    """Find textures of meshes that are missing or cannot be read."""
     from simfoundry.assets.textures import document_faults
 
     for path, wrong in document_faults(subject.loaded, subject.loaded.spec):  # type: ignore[arg-type]

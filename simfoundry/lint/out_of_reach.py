@@ -21,7 +21,7 @@ from simfoundry.spec.models.predicate import Effect
 
 
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
-    """Find what must be got to and is out of reach, at the start or in a corner of its reset."""
+    """Find objects that must be reached but are out of reach, at the start or in a corner of their reset region."""
     draft, hands = subject.scene, hands_of(acting_robots(subject))
     if not hands:
         return
@@ -45,7 +45,7 @@ def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _needed(call: Call) -> tuple[str, ...]:
-    """The arguments of a predicate that a robot must get to."""
+    """Arguments of a predicate that a robot must reach."""
     effect = call.declaration.effect
     if effect is Effect.PLACE:
         return call.args
@@ -53,7 +53,7 @@ def _needed(call: Call) -> tuple[str, ...]:
 
 
 def _distance(draft: DraftScene, hand: Hand, name: str) -> float:
-    """The distance along the ground [m] of a base from the box around an object, or around the link that is named."""
+    """Distance along the ground [m] from a base to the bounding box of an object, or of the named link."""
     owner, _, part = name.partition(".")
     at = np.array(hand.at)
     spans = [(low[:2], high[:2]) for low, high in link_bounds(draft.scene.by_name[owner], part)]
@@ -61,7 +61,7 @@ def _distance(draft: DraftScene, hand: Hand, name: str) -> float:
 
 
 def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterator[Diagnostic]:
-    """The corner of a reset's region that is farthest out of reach."""
+    """Corner of a reset region that is farthest out of reach."""
     region = subject.task.reset.objects[name]
     low, high = subject.scene.bounds[name]
     x, y, _ = subject.scene.scene.by_name[name].X_WO.p.tolist()

@@ -1,4 +1,4 @@
-"""SF409: objects that no camera sees, even if nothing hides them."""
+"""SF409: objects that no camera sees, even without occlusion."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from simfoundry.spec.diagnostics import Diagnostic
 
 
 def unseen(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects of which no camera sees anything; cameras that a robot carries look elsewhere in time."""
+    """Find free objects outside the view of every camera; cameras mounted on a robot are skipped, as they move."""
     free = [item.name for item in subject.scene.scene.objects if not item.fixed]
     yield from _unseen(subject, free, lambda name: where(subject.loaded, name))
 
 
 def unseen_at_start(subject: Subject) -> Iterator[Diagnostic]:
-    """Find what the start of a task puts out of every camera's view."""
+    """Find objects that the start of a task puts outside the view of every camera."""
     start = subject.task.start
     moved: dict[str, Path_] = {n: ("start", key, n) for key in ("place", "pose") for n in getattr(start, key)}
     yield from _unseen(subject, moved, moved.__getitem__)
@@ -41,14 +41,14 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
             continue
         found += 1
         angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
-        message = f"`{name}` is out of the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
+        message = f"`{name}` is outside the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
         seen = f"which sees {half_angle(cameras[nearest]):.0f} deg to the corners of its picture"
         hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move one of the two"
         yield warning(subject.loaded, "SF409", path_of(name), message, hint)
 
 
 def sees(camera: Camera, low: Array, high: Array) -> bool:
-    """Return True unless all corners of a box lie beyond one edge of the picture."""
+    """Return True unless all corners of a box lie beyond one edge of the image."""
     x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
     x, y = camera.fx * x, camera.fy * y
     right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy
@@ -57,13 +57,13 @@ def sees(camera: Camera, low: Array, high: Array) -> bool:
 
 
 def off_axis(camera: Camera, point: Array) -> float:
-    """The angle between the optical axis and a point in the world [deg]."""
+    """Angle between the optical axis and a point in the world [deg]."""
     x, y, z = camera.X_WC.inverse().apply(point)
     return math.degrees(math.atan2(math.hypot(x, y), z))
 
 
 def half_angle(camera: Camera) -> float:
-    """The angle between the optical axis and the farthest corner of the picture [deg]."""
+    """Angle between the optical axis and the farthest corner of the image [deg]."""
     across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx) / camera.fx
     down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy) / camera.fy
     return math.degrees(math.atan(math.hypot(across, down)))

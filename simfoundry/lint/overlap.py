@@ -15,18 +15,19 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import Diagnostic
 
 DEEP = 0.002
-"""Things that interpenetrate by no more than this [m] come apart by themselves; captured ones do as much."""
+"""Penetration [m] that simulators resolve by themselves; captured objects have as much."""
 
 STEEPEST = 1.5
-"""What comes free when it is raised by no more than this many times the depth has sunk in from above."""
+"""Lift that separates two objects, as a multiple of the depth, up to which the upper one counts as sunk in from
+above."""
 
 MOST_MEASURED = 6_000
-"""Pairs of objects near each other that are measured for one scene, which takes seconds; 1,000 things on a table have
-some hundreds. What lies beyond is looked at once the first findings are mended."""
+"""Number of pairs of neighbors measured for one scene, which takes seconds; 1,000 objects on a table have some
+hundreds. Further pairs are measured once the first findings are fixed."""
 
 
 def overlaps(subject: Subject) -> Iterator[Diagnostic]:
-    """Find pairs that interpenetrate, unless both are fixed, or shall pass through each other."""
+    """Find interpenetrating pairs, unless both are fixed or their contacts are excluded."""
     draft = subject.scene
     silent = {frozenset(pair) for pair in draft.spec.no_contact}
     found = 0
@@ -41,7 +42,7 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def neighbours(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
-    """Pairs of objects known by their parts whose boxes overlap by more than :data:`DEEP`."""
+    """Pairs of objects with known parts whose boxes overlap by more than :data:`DEEP`."""
     items = [item for item in draft.solids if item.name not in draft.approximate]
     if not items:
         return []
@@ -54,14 +55,14 @@ def neighbours(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
 
 
 def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
-    """Return True if the place of one names the other: then lowering has put the two together."""
+    """Return True if the placement of one names the other: lowering then defined their relative pose."""
     places = (draft.spec.objects[one.name].place for one in (a, b))
     carriers = [(place.on or place.inside or "").partition(".")[0] for place in places if place is not None]
     return a.name in carriers or b.name in carriers
 
 
 def _overlap(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
-    """The finding at what can be moved, of two the later."""
+    """Return the finding for the object that can be moved; of two, for the later one."""
     draft, loaded = subject.scene, subject.loaded
     moved, other = (a, b) if b.fixed else (b, a)
     depth = draft.overlap(a.name, b.name)
@@ -72,7 +73,7 @@ def _overlap(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
         hint = f"raise `{moved.name}` by {length(raised)}, to z = {number(float(moved.X_WO.p[2]) + raised)}"
     if len(where(loaded, moved.name)) == 2:
         hint = f"it has no `place` and no `pose`, so it is at the origin: write `place: {{on: {other.name}}}`"
-    hint += f"; what shall be like this is `allow: {{SF410: {{{moved.name}: why}}}}`"
+    hint += f"; if the overlap is intended, write `allow: {{SF410: {{{moved.name}: why}}}}`"
     return warning(loaded, "SF410", where(loaded, moved.name), message, hint, (other.name,))
 
 

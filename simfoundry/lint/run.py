@@ -1,4 +1,4 @@
-"""Hold documents against all lints."""
+"""Run all lints on documents."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from simfoundry.spec.loaded import Loaded
 
 
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
-    """Return the findings of a document without errors and of those that it uses, each document once.
+    """Return the findings of a document without errors and of the documents that it uses, each document once.
 
-    Findings that its ``allow`` silences are left out; an entry of it that silences nothing is a finding. Documents in
-    ``seen`` are passed over; those that are looked at are added to it.
+    Findings suppressed by its ``allow`` are left out; an entry that suppresses nothing is a finding. Documents in
+    ``seen`` are skipped; those that are checked are added to it.
     """
     seen = set() if seen is None else seen
     if loaded.spec is None or loaded.document is None or loaded.errors:
@@ -26,14 +26,14 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     findings = [d for used in loaded.uses.values() for d in lint(used, seen)]
     kept, silenced = sift(_lints(loaded), loaded.spec.allow)
     findings += kept
-    # An entry that a document took over from its base may silence something there alone.
+    # An entry inherited from a base document may suppress a finding only there.
     idle = unused(loaded.document, loaded.spec.allow, [*loaded.silenced, *silenced])
     findings += [d for d in idle if d.file == loaded.document.file]
     return tuple(findings)
 
 
 def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
-    """The findings of one document: what lowering refuses, and where that is nothing, what will not work."""
+    """Return the findings of one document: the errors of lowering, or if there are none, those of the lints."""
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
         return
@@ -42,7 +42,7 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
 
     try:
         subject = Subject(loaded, None if kind == "asset/1" else drafted_start(loaded))
-    except SpecError as error:  # of a task, or of a used document: that of the scene itself says it
+    except SpecError as error:  # for a task or a used document, the scene's own check reports this
         yield from (d for d in error.diagnostics if loaded.document is not None and d.file == loaded.document.file)
         return
     if kind == "asset/1":

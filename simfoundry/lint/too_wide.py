@@ -1,4 +1,4 @@
-"""SF407: objects that a task wants carried and that fit between the fingers of no robot."""
+"""SF407: objects that a task requires to be carried and that are too wide for every robot's gripper."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.robot import RobotSpec
 
 SLACK = 0.001
-"""A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
+"""Excess width [m] over the opening that still fits: openings are given in whole millimetres."""
 
 
 def too_wide(subject: Subject) -> Iterator[Diagnostic]:
-    """Find what must be carried and is wider, at its narrowest, than every robot opens."""
+    """Find objects to be carried whose narrowest width exceeds the opening of every robot."""
     from simfoundry.geometry.grasp_width import grasp_width
 
     draft, robots = subject.scene, acting_robots(subject)
@@ -39,13 +39,13 @@ def too_wide(subject: Subject) -> Iterator[Diagnostic]:
         if math.isfinite(width):
             message = f"`{name}` is {length(width)} wide at its narrowest, and `{robot}` opens {length(widest)}"
         else:
-            message = f"`{name}` has no place from above where two fingers hold it; `{robot}` opens {length(widest)}"
-        hint = "make it narrower, give it a handle or a rim, or turn it; `opening` says how far a robot opens"
+            message = f"`{name}` has no grasp from above for two fingers; `{robot}` opens {length(widest)}"
+        hint = "make it narrower, give it a handle or a rim, or turn it; `opening` states the opening of a robot"
         yield warning(subject.loaded, "SF407", path, message, hint, (name, robot))
 
 
 def acting_robots(subject: Subject) -> dict[str, RobotSpec]:
-    """The robots that act in a task, by name."""
+    """Return the robots that act in a task, by name."""
     wanted = subject.task.robots
     return {n: r for n, r in subject.scene.spec.robots.items() if wanted is None or n in wanted}
 

@@ -1,4 +1,4 @@
-"""SF405: goals that are true at the start, which every policy reaches."""
+"""SF405: goals that are true at the start, so that every policy succeeds."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from simfoundry.spec.models.expressions import parse_call, texts
 from simfoundry.spec.models.predicate import Effect
 
 INDEPENDENT = (Effect.NONE, Effect.JOINT, Effect.GRASP)
-"""Effects of predicates that do not depend on where a reset puts their objects."""
+"""Effects of predicates that do not depend on the poses that a reset samples."""
 
 
 def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
-    """Find a goal that holds at the start, and steps that do where they are done alone or first."""
+    """Find a goal that holds at the start, and steps whose goals hold when they run alone or first."""
     task, judge = subject.task, StartJudge(subject.scene)
     if _is_true(subject, task.goal, judge):
         yield _finding(subject, ("goal",), "the goal is true at the start", judge.explanation(task.goal))
@@ -34,14 +34,14 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _is_true(subject: Subject, goal: Any, judge: StartJudge) -> bool:
-    """Return True if a goal certainly holds wherever a reset puts the objects."""
+    """Return True if a goal certainly holds for all poses that a reset may sample."""
     calls = [parse_call(text) for text, _ in texts(goal)]
     placed = {arg.partition(".")[0] for c in calls if c.declaration.effect not in INDEPENDENT for arg in c.args}
     return not (placed & subject.task.reset.objects.keys()) and judge.value(goal) is True
 
 
 def _finding(subject: Subject, path: Path_, message: str, why: str) -> Diagnostic:
-    hint = "ask for what the robot must change, or start elsewhere"
+    hint = "require a condition that the robot must bring about, or change the start"
     return warning(subject.loaded, "SF405", path, f"{message}: {why}" if why else message, hint)
 
 

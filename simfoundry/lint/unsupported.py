@@ -1,4 +1,4 @@
-"""SF411: free objects that nothing supports."""
+"""SF411: free objects without support."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import Diagnostic
 
 HOVERING = 0.005
-"""What hangs lower than this over its support [m] comes down without a bounce that matters."""
+"""Largest gap to a support [m] after which the bounce of a falling object is negligible."""
 
 CLOSE = 5e-5
-"""By so much [m] the prisms stand out that cylinders are measured as."""
+"""Protrusion [m] of the prisms that represent cylinders."""
 
 MOST_MEASURED = 20_000
-"""Pairs of an object and what may support it that are measured for one scene, at a millisecond each: a wall of a
-thousand bricks has eight neighbours each."""
+"""Number of pairs of an object and a possible support measured for one scene, at a millisecond each: in a wall of a
+thousand bricks, each has eight neighbors."""
 
 
 def unsupported(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects that would fall, in a scene where something is fixed and gravity points down."""
+    """Find free objects that would fall, in a scene with a fixed object and gravity that points down."""
     draft = subject.scene
     gx, gy, gz = draft.spec.gravity
     if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
@@ -53,9 +53,9 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:
-    """Return True if an object meets another at once or on the first :data:`HOVERING` of its way down.
+    """Return True if an object touches another at once or within the first :data:`HOVERING` of its way down.
 
-    If one of them is known by its hull only, it is enough that their boxes are that near.
+    If one of them is known only by its hull, the distance of their boxes decides.
     """
     if draft.approximate & {support.name, item.name}:
         return True
@@ -65,26 +65,26 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
         return True
     if not (touching > CLOSE).any():
         return False
-    # What is stuck in the other is not said to fall: that the two overlap is finding enough. A lid is no support.
+    # Interpenetrating objects are not reported as falling: SF410 reports them. A lid is no support.
     leaving = -heights(upper.flipped(), lower.flipped())
     rising = touching[touching > CLOSE] < -leaving[touching > CLOSE]
     return bool(rising.any()) or draft.distance(item.name, support.name, -DEEP) < -DEEP
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Return True if there are objects whose pose is uncertain: anything may rest on them."""
+    """Return True if there are objects with uncertain poses: any object may rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 
 def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
-    """The finding, with how far it falls, and onto what."""
+    """Return the finding with the height of the fall and the object that it ends on."""
     draft = subject.scene
     low, high = draft.bounds[item.name]
     below: list[tuple[float, str]] = []
     for other in sorted(draft.solids, key=lambda o: -float(draft.bounds[o.name][1][2])):
         bottom, top = draft.bounds[other.name]
         if below and top[2] - low[2] < max(below)[0]:
-            break  # nothing that ends lower can stop it earlier
+            break  # no object with a lower top can stop it earlier
         if other is not item and bottom[2] < low[2] and (bottom <= high)[:2].all() and (low <= top)[:2].all():
             raised = float(heights(draft.shapes[item.name], draft.shapes[other.name]).max())
             if np.isfinite(raised) and raised < 0:
@@ -92,7 +92,7 @@ def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
     path = where(subject.loaded, item.name)
     if not below:
         message = f"nothing supports `{item.name}`, and there is nothing below it"
-        hint = "put it on something with `place`, or weld it to the world with `fixed: true`"
+        hint = "put it on an object with `place`, or weld it to the world with `fixed: true`"
         return warning(subject.loaded, "SF411", path, message, hint)
     raised, name = max(below)
     message = f"nothing supports `{item.name}`: it falls {length(-raised)} onto `{name}`"

@@ -1,1 +1,1 @@
-"""Adapters to models that are not ours: each behind one small module, loaded when it is asked for."""
+"""Adapters to third-party models, each in one small module that is loaded on demand."""

@@ -1,4 +1,4 @@
-"""Image editing models behind one method: a prompt and pictures in, one picture out."""
+"""Image editing models behind a common method: a prompt and pictures in, one picture out."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 
 URL, MODEL, KEY = "SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_IMAGES_KEY"
-"""Variables of the environment that say where the image model is, which, and the key, which is nowhere else."""
+"""Environment variables with the address, the name and the key of the image model; the key is stored nowhere else."""
 
 
 class ImageEditor(Protocol):
-    """Edits pictures."""
+    """Interface of models that edit pictures."""
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """Return a PNG made from ``pictures``, PNG or JPEG, the first to be changed; raises :class:`ModelError`."""
+        """Return a PNG edited from the first of ``pictures`` (PNG or JPEG); raises :class:`ModelError`."""
         ...
 
 
 @dataclass(frozen=True)
 class HttpImages:
-    """An editor behind the OpenAI images API: ``POST {url}/images/edits``, which several servers speak.
+    """Editor behind the OpenAI images API: ``POST {url}/images/edits``, which several servers implement.
 
     https://platform.openai.com/docs/api-reference/images/createEdit: multipart, up to 16 pictures as ``image[]``;
-    ``background: transparent`` wants ``output_format`` png or webp, and only GPT image models know these two; they
-    answer with ``data[0].b64_json`` and refuse ``response_format``. As of its official client, which says the same:
+    ``background: transparent`` requires ``output_format`` png or webp, and only GPT image models accept these two; they
+    answer with ``data[0].b64_json`` and reject ``response_format``. OpenAI's own client documents the same:
     https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
     """
 
@@ -44,7 +44,7 @@ class HttpImages:
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
         """Return the edited picture, with a transparent background."""
         if not pictures:
-            raise ModelError("the image model needs a picture to change")
+            raise ModelError("the image model needs a picture to edit")
         fields = {"model": self.model, "prompt": prompt, "background": "transparent", "output_format": "png", "n": "1"}
         files = [("image[]", _form_file(k, picture)) for k, picture in enumerate(pictures)]
         headers = {"Accept": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
@@ -72,7 +72,7 @@ def _form_file(k: int, data: bytes) -> tuple[str, bytes, str]:
         return f"picture_{k}.png", data, "image/png"
     if data.startswith(JPEG):
         return f"picture_{k}.jpg", data, "image/jpeg"
-    raise ModelError("pictures for the image model are PNG or JPEG")
+    raise ModelError("pictures for the image model must be PNG or JPEG")
 
 
 def _picture(answer: bytes, url: str) -> bytes:
@@ -81,5 +81,5 @@ def _picture(answer: bytes, url: str) -> bytes:
     except (ValueError, KeyError, IndexError, TypeError):
         raise ModelError(f"the image model at {url} answered without a picture in data[0].b64_json") from None
     if not data.startswith((PNG, JPEG)):
-        raise ModelError(f"the image model at {url} answered with something that is no PNG and no JPEG")
+        raise ModelError(f"the image model at {url} answered with data that is neither PNG nor JPEG")
     return data

@@ -1,4 +1,4 @@
-"""Models that turn a picture into a mesh, behind one method."""
+"""Models that turn a picture into a mesh, behind a common method."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Protocol
 from simfoundry.models.web import TIMEOUT_S, ModelError, post
 
 URL = "SIMFOUNDRY_MESHES_URL"
-"""The variable of the environment that says where the mesh model is."""
+"""Environment variable with the address of the mesh model."""
 
 GLB = b"glTF"
 
 SEEDS = 2**32
-"""Servers take seeds below this."""
+"""Exclusive upper bound of the seeds that servers accept."""
 
 
 class MeshMaker(Protocol):
-    """Makes meshes of pictures."""
+    """Interface of models that make meshes from pictures."""
 
     def make(self, picture: bytes, seed: int) -> bytes:
         """Return a GLB, y up, any unit, of a PNG with a transparent background; raises :class:`ModelError`."""
@@ -33,9 +33,9 @@ class HttpMeshes:
 
     https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py, and Hunyuan3D-2.1 with the fields of
     https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py: ``image`` in base64, ``seed`` below 2^32,
-    ``texture`` and, only with it, ``face_count`` from 1,000 to 100,000; ``type`` is known to the first only, and both
-    make a GLB by default. Painting needs a server started with ``--enable_tex``; whatever fails is answered with 404.
-    ``faces`` is how many triangles are kept.
+    ``texture`` and, only with it, ``face_count`` from 1,000 to 100,000; only the first accepts ``type``, and both
+    return a GLB by default. Texturing needs a server started with ``--enable_tex``; all failures are answered with 404.
+    ``faces`` is the number of triangles to keep.
     """
 
     url: str
@@ -57,16 +57,16 @@ class HttpMeshes:
             data = post(url, "the mesh model", json=asked, timeout_s=self.timeout_s)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
-                hint = "; was it started with --enable_tex? without it, say `texture: false` of the recipe's `models`"
+                hint = "; was it started with --enable_tex? otherwise set `texture: false` in the recipe's `models`"
                 raise ModelError(f"{error}{hint}") from None
             raise
         if not data.startswith(GLB):
-            raise ModelError(f"the mesh model at {self.url} answered with something that is no GLB")
+            raise ModelError(f"the mesh model at {self.url} answered with data that is not a GLB")
         return data
 
 
 def meshes_from_environment(environment: Mapping[str, str] | None = None, texture: bool = True) -> HttpMeshes:
-    """Return the mesh model that the environment names; a :class:`ModelError` names a missing variable."""
+    """Return the mesh model that the environment names; raises :class:`ModelError` if the variable is missing."""
     env = os.environ if environment is None else environment
     if not env.get(URL):
         raise ModelError(f"no mesh model: set {URL} to the address of a server with Hunyuan3D-2's API")

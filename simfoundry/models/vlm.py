@@ -1,8 +1,8 @@
 """Vision-language models: a prompt and pictures in, a typed answer or text out.
 
-Whose model it is, is a matter of its name, as ``openai:gpt-5``, ``google:gemini-3-pro`` or ``anthropic:claude-opus-4``;
-any server that speaks OpenAI's protocol is reached by its address. Keys come from the environment only, under the names
-that the providers use. pydantic-ai does the work, and nothing of it is seen outside of this module.
+The name selects the provider, such as ``openai:gpt-5``, ``google:gemini-3-pro`` or ``anthropic:claude-opus-4``; any
+server with an OpenAI-compatible API is selected by its address. Keys come only from the environment, under the names
+that the providers use. pydantic-ai does the work, and is not exposed outside of this module.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ MAX_PROMPT = 200_000
 """Longest prompt [characters]: about 50,000 tokens, which every current model takes."""
 
 RETRIES = 2
-"""Times that a model is asked to correct the form of its answer."""
+"""Number of times that a model is asked to correct the form of its answer."""
 
 KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
 
 Mode = Literal["native", "tool", "prompt"]
-"""Form of a request for a typed answer: by the model's own JSON schema, as a call of a tool, or in words."""
+"""Form of a request for a typed answer: by the model's own JSON schema, as a tool call, or in the prompt."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class VlmError(SimfoundryError):
-    """A model without a usable answer; the message says why, and what to do."""
+    """A model without a usable answer; the message states the reason and the remedy."""
 
 
 class Vlm:
-    """One model. ``model`` is its name, or a model of pydantic-ai, as tests use.
+    """One model. ``model`` is its name, or a model of pydantic-ai, as in tests.
 
-    ``base_url`` is the address of a server that speaks OpenAI's protocol; its key, if it wants one, is that in the
-    environment's ``OPENAI_API_KEY``. ``temperature`` is the provider's own where None.
+    ``base_url`` is the address of a server with an OpenAI-compatible API; its key, if it needs one, is
+    ``OPENAI_API_KEY`` in the environment. ``temperature`` is the provider's default if None.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Vlm:
 
     @property
     def name(self) -> str:
-        """The model's own name."""
+        """Name of the model."""
         return str(self._model.model_name)
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[Answer]) -> Answer:
@@ -84,7 +84,7 @@ class Vlm:
         return found
 
     def ask_text(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
-        """Return an answer in words. Raises :class:`VlmError`."""
+        """Return an answer as text. Raises :class:`VlmError`."""
         return str(self._run(prompt, pictures, str))
 
     def _run(self, prompt: str, pictures: Sequence[bytes], output: Any) -> Any:
@@ -109,12 +109,12 @@ class Vlm:
         except exceptions.AgentRunError as error:
             raise VlmError(f"{self.name} gave no answer: {_short(error)}") from None
         except (OSError, TimeoutError) as error:
-            raise VlmError(f"{self.name} is not reached: {_short(error) or 'it took too long'}") from None
+            raise VlmError(f"{self.name} cannot be reached: {_short(error) or 'it took too long'}") from None
         return result.output
 
     @property
     def _budget(self) -> float:
-        """Time for all tries together [s]."""
+        """Time limit for all tries together [s]."""
         return self._timeout_s * (RETRIES + 1)
 
 
@@ -123,7 +123,7 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         from pydantic_ai.exceptions import UserError
         from pydantic_ai.models import infer_model
     except ImportError:
-        raise VlmError(f"models that see need pydantic-ai; install with `{install_line('vlm')}`") from None
+        raise VlmError(f"vision-language models need pydantic-ai; install with `{install_line('vlm')}`") from None
     if not isinstance(model, str):
         return model
     try:
@@ -133,8 +133,8 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         from pydantic_ai.providers.openai import OpenAIProvider
 
         if not base_url.startswith(("http://", "https://")):
-            raise VlmError(f"the address of a model starts with http:// or https://, not `{base_url}`")
-        key = os.environ.get("OPENAI_API_KEY") or "none"  # a server of one's own seldom asks for one
+            raise VlmError(f"the address of a model must start with http:// or https://, not `{base_url}`")
+        key = os.environ.get("OPENAI_API_KEY") or "none"  # self-hosted servers rarely require one
         return OpenAIChatModel(model.removeprefix("openai:"), provider=OpenAIProvider(base_url=base_url, api_key=key))
     except ImportError as error:
         raise VlmError(f"`{model}` needs the package `{error.name}`; install with `{install_line('vlm')}`") from None
@@ -143,11 +143,11 @@ def _model(model: str | Model, base_url: str | None) -> Model:
 
 
 def _message(prompt: str, pictures: Sequence[bytes]) -> list[Any]:
-    """Pictures first, then what is asked of them."""
+    """Return the pictures, followed by the prompt."""
     from pydantic_ai import BinaryContent
 
     if len(prompt) > MAX_PROMPT:
-        raise VlmError(f"a prompt has at most {MAX_PROMPT} letters, not {len(prompt)}")
+        raise VlmError(f"a prompt has at most {MAX_PROMPT} characters, not {len(prompt)}")
     size = sum(map(len, pictures))
     if len(pictures) > MAX_PICTURES or size > MAX_BYTES:
         most = f"{MAX_PICTURES} pictures of {MAX_BYTES / 2**20:.0f} MiB together"
@@ -159,7 +159,7 @@ def _kind(data: bytes) -> str:
     for start, kind in KINDS:
         if data.startswith(start):
             return kind
-    raise VlmError("a picture for a model is a PNG or a JPEG, and this is neither")
+    raise VlmError("a picture for a model must be a PNG or a JPEG")
 
 
 def _short(what: object) -> str:

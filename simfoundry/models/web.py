@@ -1,4 +1,4 @@
-"""HTTP requests to model servers: bounded in time and size, with every failure told in one sentence."""
+"""HTTP requests to model servers: bounded in time and size; every failure becomes a one-sentence error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 
 TIMEOUT_S = 300.0
-"""Time that a server may stay silent [s]: mesh generators take a minute or two."""
+"""Response timeout of a server [s]: mesh generators take a minute or two."""
 
 MAX_BYTES = 256 * 2**20
 """Largest answer [bytes]: no usable picture or mesh is larger."""
@@ -21,7 +21,7 @@ FormFile = tuple[str, tuple[str, bytes, str]]
 
 
 class ModelError(SimfoundryError):
-    """A model without a usable answer; the message says which model, why, and what to do."""
+    """A model without a usable answer; the message states the model, the reason, and the remedy."""
 
 
 def post(
@@ -36,8 +36,8 @@ def post(
 ) -> bytes:
     """Send a POST with a JSON body or a multipart form and return the body of the answer.
 
-    ``server`` names the server in errors, as `the image model`. Raises :class:`ModelError` for an address that is not
-    HTTP, no answer within ``timeout_s``, a status other than success, and more than ``max_bytes``.
+    ``server`` names the server in errors, such as `the image model`. Raises :class:`ModelError` for an address that is
+    not HTTP, no answer within ``timeout_s``, an error status, and answers larger than ``max_bytes``.
     """
     import httpx
 

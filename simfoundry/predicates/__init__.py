@@ -1,7 +1,7 @@
-"""Predicates: spatial relations and states of objects, judged alike on the state of every simulator.
+"""Predicates: spatial relations and states of objects, judged equally on the state of every simulator.
 
-Each predicate is one file of this folder; :mod:`~simfoundry.predicates.judging` measures and judges. The files are read
-by ``simfoundry check`` as well, which must not load numpy: therefore the judge is imported when it is first used.
+Each predicate is one module of this package; :mod:`~simfoundry.predicates.judging` measures and judges. ``simfoundry
+check`` also imports these modules and must not load numpy, so the judge is imported on first use.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``At(a, x, y[, z])``: the frame of ``a`` is at that point of the world."""
+"""``At(a, x, y[, z])``: the frame of ``a`` is at a point in the world."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 AT = 0.02
-"""Greatest distance [m] from the point: about half of the width of what a gripper takes."""
+"""Largest distance [m] from the point: about half the width of an object that a gripper can grasp."""
 
 
 def at(terms: Terms, a: Entity, *point: float) -> None:
-    """Require that the frame of ``a`` is near ``point`` [m], two or three coordinates in the world."""
+    """Require that the frame of ``a`` is near ``point`` [m], with two or three world coordinates."""
     import numpy as np
 
     from simfoundry.scene.lengths import length
 
     off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
-    terms.require(off, AT - off, lambda v, ok: f"`{a.name}` is {length(v)} from there")
+    terms.require(off, AT - off, lambda v, ok: f"`{a.name}` is {length(v)} from the point")
 
 
 PREDICATE = Predicate(
@@ -29,7 +29,7 @@ PREDICATE = Predicate(
     "the thing is at x, y and perhaps z of the world [m]",
     ("thing", "number", "number", "number"),
     at,
-    f"the frame of `a` is at most {AT * 100:g} cm from the point; without z, along the ground",
+    f"the origin of `a` is at most {AT * 100:g} cm from the point; without z, in the horizontal plane",
     optional=1,
     effect=Effect.MOVE,
 )

@@ -21,7 +21,7 @@ def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
     if robot is not None:
         hands = {robot.owner: hands[robot.owner]} if robot.owner in hands else {}
         if not hands:
-            raise PredicateError(f"`{robot.name}` is no robot with a gripper")
+            raise PredicateError(f"`{robot.name}` is not a robot with a gripper")
     held = grip_margin(terms.view, terms.context.distances, hands.values(), a)
     terms.require(held, held, lambda v, ok: f"`{a.name}` is held" if ok else f"`{a.name}` is not held")
 
@@ -31,8 +31,8 @@ PREDICATE = Predicate(
     "it is held, by the named robot or by any",
     ("thing", "robot"),
     grasped,
-    f"both sides of one gripper are at most {TOUCH * 1000:g} mm from it, and moving either {PRESS * 1000:g} mm "
-    f"towards the other brings it nearer, or deeper in, by {PRESS * 500:g} mm",
+    f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
+    f"towards the other reduces its distance to `a`, or increases its penetration, by at least {PRESS * 500:g} mm",
     optional=1,
     effect=Effect.GRASP,
     aliases=("grasped", "IsGrasping"),

@@ -1,4 +1,4 @@
-"""``Inside(a, b)``: half of ``a`` is in the cavity of ``b``, which is not turned down."""
+"""``Inside(a, b)``: half of ``a`` is in the cavity of ``b``, which is not turned upside down."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def inside(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that half of ``a`` is in a cavity of ``b`` that can hold it, and that nothing moves or holds it."""
+    """Require that half of ``a`` is in a suitable cavity of ``b``, that ``a`` is at rest and not held by a robot."""
     import numpy as np
 
     from simfoundry.predicates.judging.cavity_depth import enclosed_depth
@@ -39,8 +39,8 @@ PREDICATE = Predicate(
     "the first is in the cavity of the second",
     ("thing", "thing"),
     inside,
-    f"{ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose way out is turned from up by at most "
-    f"{FACING_DOWN_DEG:g} deg; it moves no faster than {SETTLED * 100:g} cm/s, no robot holds it",
+    f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
+    f"{FACING_DOWN_DEG:g} deg away from up; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),
 )

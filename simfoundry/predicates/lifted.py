@@ -1,4 +1,4 @@
-"""``Lifted(a)``: higher than the scene describes it, and touching nothing but robots and what it supports."""
+"""``Lifted(a)``: ``a`` is above its initial height and touches only robots and objects that it supports."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 RISE = 0.02
-"""Least rise [m] above the height in the scene: well over the sway of what is pushed or tilted, below a short lift."""
+"""Least rise [m] above the initial height: well above that of a pushed or tilted object, below that of a short lift."""
 
 
 def lifted(terms: Terms, a: Entity) -> None:
-    """Require that ``a`` is higher than at the start and touches no object but those that it supports."""
+    """Require that ``a`` is higher than at the start and touches no object except those that it supports."""
     from functools import partial
 
     from simfoundry.predicates.judging.support import gap_to_others
@@ -31,7 +31,7 @@ def lifted(terms: Terms, a: Entity) -> None:
     terms.require_if_open(
         partial(gap_to_others, terms.context, a),
         lambda v: v - TOUCH,
-        lambda v, ok: f"`{a.name}` touches " + ("nothing else" if ok else "another thing"),
+        lambda v, ok: f"`{a.name}` touches " + ("nothing else" if ok else "another object"),
     )
 
 
@@ -40,8 +40,8 @@ PREDICATE = Predicate(
     "it is off whatever it stood on",
     ("thing",),
     lifted,
-    f"its lowest point is {RISE * 100:g} cm higher than the scene describes it, and no object is within "
-    f"{TOUCH * 1000:g} mm but what it carries",
+    f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the scene, and no object is within "
+    f"{TOUCH * 1000:g} mm of it except those that it supports",
     effect=Effect.GRASP,
     aliases=("lifted", "Up"),
     before_motion=False,

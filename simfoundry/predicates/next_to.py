@@ -1,4 +1,4 @@
-"""``NextTo(a, b)``: side by side, near for their size."""
+"""``NextTo(a, b)``: side by side, at a distance that is small relative to their size."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.view import View
 
 NEAR_SHARE = 1 / 6
-"""Greatest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
+"""Largest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
 
 
 def next_to(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the heights overlap, that the gap is small for their size, and that neither is over the other."""
+    """Require overlapping heights, a gap that is small relative to the sizes, and that neither is above the other."""
     import numpy as np
 
     from simfoundry.predicates.judging.view import ground_gap, over
@@ -52,8 +52,8 @@ PREDICATE = Predicate(
     "the two stand side by side",
     ("thing", "thing"),
     next_to,
-    "their gap along the ground is at most a sixth of the sum of their mean extents; they share a height; neither is "
-    "over the other",
+    "their horizontal gap is at most a sixth of the sum of their mean extents, their height ranges overlap, and "
+    "neither is over the other",
     effect=Effect.MOVE,
     aliases=("nextto", "next_to"),
 )

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 STEEP_SCALE = 0.01
-"""Margin [m] for a cosine of 1 more or less: of the order of the other margins of things at rest, a few millimetres."""
+"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimetres."""
 
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that ``b`` touches ``a``, pushes it up and keeps it from falling, and that nothing moves or holds it."""
+    """Require that ``b`` touches ``a``, pushes it up and balances it, and that ``a`` is at rest and not held."""
     from functools import partial
 
     from simfoundry.predicates.judging import support
@@ -39,12 +39,11 @@ PREDICATE = Predicate(
     "the first rests on top of the second",
     ("thing", "thing"),
     on_top,
-    f"`b` supports `a`: it is at most {TOUCH * 1000:g} mm from it and pushes it within {SUPPORT_DEG:g} deg of "
-    f"straight up, where friction turns the push by {FRICTION_SHARE:g} of its angle; the centre of mass of `a` is over "
-    "the outline of `b`, or another object touches it too; of objects under it, one that is farther than "
-    f"{CLOSE * 1000:g} mm does not count if another supports it; it moves no faster than "
-    f"{SETTLED * 100:g} cm/s, no robot holds it. What lies in a bowl rests on it, and so does what hangs on a hook or "
-    "leans on an edge",
+    f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {SUPPORT_DEG:g} deg of "
+    f"straight up, with {FRICTION_SHARE:g} of the friction angle credited; the centre of mass of `a` is over the "
+    f"outline of `b`, or `a` also touches another object; if `b` is farther away than {CLOSE * 1000:g} mm, no object "
+    f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it. An object "
+    "in a bowl rests on the bowl, one on a hook rests on the hook, and one that leans on an edge rests on the edge",
     effect=Effect.PLACE,
     aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
 )

@@ -1,4 +1,4 @@
-"""``Open(joint)`` and ``Closed(joint)``, by the share of the joint's range; of an object, every joint with limits."""
+"""``Open(joint)`` and ``Closed(joint)``, by the share of the joint's range; an object stands for its limited joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 OPEN_SHARE = 0.10
-"""Share of a joint's range, counted from its closed end, beyond which it is open (OmniGibson's rule)."""
+"""Share of a joint's range from its closed end beyond which it counts as open (OmniGibson's rule)."""
 
 
 def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
@@ -25,7 +25,7 @@ def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
         share = np.abs(terms.view.position(joints.owner, joint) - joint.closed_position) / reach
         margin = (share - OPEN_SHARE) * reach
         if closed:
-            margin = np.where(margin == 0, np.nextafter(0.0, 1.0), -margin)  # at the threshold itself it is closed
+            margin = np.where(margin == 0, np.nextafter(0.0, 1.0), -margin)  # the threshold itself counts as closed
         name = f"{joints.owner}.{joint.name}"
         terms.require(share, margin, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range")  # type: ignore[misc]
 
@@ -35,9 +35,9 @@ OPEN = Predicate(
     "the joint, or every joint of the object, is open",
     ("joint",),
     partial(_opening, False),
-    f"the joint is more than {OPEN_SHARE:.0%} of its range from its closed end; of an object, every joint that "
-    "has limits. The closed end is the limit that the joint's `closed` names; without it zero, or the limit "
-    "nearest to zero",
+    f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits. The closed end is the limit that the joint's key `closed` names, or else zero, or the limit that is "
+    "closest to zero",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("open",),
@@ -47,7 +47,8 @@ CLOSED = Predicate(
     "the joint, or every joint of the object, is closed",
     ("joint",),
     partial(_opening, True),
-    "the joint is no farther from its closed end than that; of an object, every joint",
+    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("closed", "Close"),

@@ -29,6 +29,6 @@ PREDICATE = Predicate(
     "no robot touches it and it is at rest",
     ("thing",),
     released,
-    f"no robot is within {TOUCH * 1000:g} mm of it, and it moves at most {SETTLED * 100:g} cm/s",
+    f"no robot is within {TOUCH * 1000:g} mm of `a`, and `a` moves no faster than {SETTLED * 100:g} cm/s",
     before_motion=True,
 )

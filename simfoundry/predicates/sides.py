@@ -17,7 +17,7 @@ AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf
 
 
 def viewer_axis(viewer: Pose | None, column: int) -> Array:
-    """The level unit vector away from the viewer (0) or to its left (1), shape (3,)."""
+    """Horizontal unit vector away from the viewer (0) or to its left (1), shape (3,)."""
     import numpy as np
 
     x, y = (1.0, 0.0) if viewer is None else viewer.rotation[:2, 0]
@@ -27,11 +27,11 @@ def viewer_axis(viewer: Pose | None, column: int) -> Array:
 
 
 LEVEL = 1e-6
-"""Length of the level part of a unit vector below which a viewer looks straight up or down, with rounding."""
+"""Length of the horizontal part of a unit vector below which the viewer looks straight up or down."""
 
 
 def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the middle of each is beyond the other's edge along the axis of ``name``."""
+    """Require that the middle of each object is beyond the other's edge along the axis of ``name``."""
     import numpy as np
 
     from simfoundry.scene.lengths import length
@@ -56,7 +56,8 @@ def _side(name: str, alias: str, meaning: str) -> Predicate:
         meaning,
         ("thing", "thing"),
         partial(_beside, name, alias.replace("_", " ")),
-        "its middle is beyond the edge of the other, and the other's beyond its own, along the level direction",
+        "in the named direction, as seen from the viewpoint, the middle of `a` is beyond all of `b`, and all of `a` is "
+        "beyond the middle of `b`",
         effect=Effect.MOVE,
         aliases=(alias,),
     )

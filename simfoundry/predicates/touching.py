@@ -1,4 +1,4 @@
-"""``Touching(a, b)``: the surfaces of the two meet; either may be a robot."""
+"""``Touching(a, b)``: the surfaces of the two are in contact; either may be a robot."""
 
 from __future__ import annotations
 

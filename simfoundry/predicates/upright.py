@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.terms import Terms
 
 UPRIGHT_DEG = 10.0
-"""Greatest lean [deg]: what stands leans less after settling, what has fallen over leans far more."""
+"""Largest tilt [deg]: standing objects tilt less after settling, fallen objects far more."""
 
 
 def upright(terms: Terms, a: Entity) -> None:
-    """Require that the z axis of ``a`` leans from up by no more than :data:`UPRIGHT_DEG`."""
+    """Require that the angle between the z axis of ``a`` and up is at most :data:`UPRIGHT_DEG`."""
     import numpy as np
 
     z = terms.view.frame(a).R[:, :, 2]
@@ -28,7 +28,7 @@ PREDICATE = Predicate(
     "its z axis points up",
     ("thing",),
     upright,
-    f"the z axis of `a` leans by at most {UPRIGHT_DEG:g} deg",
+    f"the z axis of `a` is at most {UPRIGHT_DEG:g} deg from vertical",
     unit="deg",
     aliases=("upright",),
 )

@@ -1,4 +1,4 @@
-"""``Above(a, b)`` and ``Under(a, b)``: the plumb line through the middle of ``a`` meets ``b`` on one side only."""
+"""``Above(a, b)`` and ``Under(a, b)``: the plumb line through the middle of ``a`` intersects ``b`` on one side only."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ABOVE = Predicate(
     "the first is above the second, touching or not",
     ("thing", "thing"),
     partial(_vertical, "under", "over"),
-    "the plumb line through the middle of `a` meets `b` under `a`, and not over it; held or not",
+    "the plumb line through the middle of `a` intersects `b` below `a` and not above it; `a` may be held",
     effect=Effect.MOVE,
     aliases=("above", "AboveAABB"),
 )
@@ -56,7 +56,7 @@ UNDER = Predicate(
     "the first is below the second",
     ("thing", "thing"),
     partial(_vertical, "over", "under"),
-    "the plumb line through the middle of `a` meets `b` over `a`, and not under it; held or not",
+    "the plumb line through the middle of `a` intersects `b` above `a` and not below it; `a` may be held",
     effect=Effect.MOVE,
     aliases=("under",),
 )

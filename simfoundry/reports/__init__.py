@@ -1,1 +1,1 @@
-"""Every HTML page: the templates, the one style, and what each page shows."""
+"""HTML pages: the templates, the common style, and the data of each page."""

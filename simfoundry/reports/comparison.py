@@ -1,7 +1,7 @@
-"""A page that shows a change: the scene before and after as pictures, and what changed as a list.
+"""Page that shows a change: pictures of the scene before and after, and a list of changes.
 
-One file without scripts and without links, to be attached to a pull request. All text from documents is escaped, and
-the same documents give the same bytes.
+It is a single file without scripts or links that can be attached to a pull request. All text from documents is escaped,
+and the same documents give the same bytes.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ COLORS = {
 """Colours of the marks in pictures and in the list (sRGB bytes)."""
 
 SEEN_M, SEEN_DEG = 5e-4, 0.1
-"""A move along with something else counts from half a millimetre and a tenth of a degree on: less is how a thing lies
-on a surface that is reckoned anew."""
+"""Smallest indirect move that is reported: half a millimetre and a tenth of a degree; smaller ones result from solving
+a placement again."""
 
 
 def page(comparisons: Sequence[DocumentComparison]) -> str:
-    """Return the page of some documents."""
+    """Return the page for the given documents."""
     documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     return render("comparison.html.j2", title=title, sources="", colors=COLORS, documents=documents)
 
 
 def mark_of(entry: MemberChange) -> str:
-    """The mark that decides the colour of a thing."""
+    """Return the mark that determines the color of a change."""
     return next((mark for mark in ("added", "removed", "moved") if mark in entry.marks), "changed")
 
 
@@ -75,7 +75,7 @@ def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
 
 
 def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
-    """The comparison with the moves that no text says: of what stands on or beside something that changed."""
+    """Return the comparison with moves that no text states: of objects on or beside a changed one."""
     old, new = lowered if lowered else ("", "")
     if isinstance(old, str) or isinstance(new, str):
         return comparison
@@ -107,7 +107,7 @@ def _label(side: Side | None) -> str:
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Both scenes, or why one cannot be shown; nothing for documents of other kinds."""
+    """Return both scenes, or the reason why one cannot be shown; empty for other kinds of documents."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()
@@ -115,7 +115,7 @@ def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
 
 
 def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
-    """Both scenes side by side, each as a picture or as the reason why there is none."""
+    """Return both scenes side by side, each as a picture or the reason for its absence."""
     sides = (comparison.old, comparison.new)
     scenes = [scene for scene in lowered if not isinstance(scene, str)]
     shown: list[Picture | str] = [str(scene) for scene in lowered]
@@ -123,7 +123,7 @@ def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], ke
         from simfoundry.reports.pictures import common_camera, picture
 
         views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
-        camera = common_camera(scenes, reversed(views))  # as the new document sees it
+        camera = common_camera(scenes, reversed(views))  # the new document's view takes precedence
         tints = _tints(comparison, lowered)
         shown = [
             scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
@@ -136,7 +136,7 @@ def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], ke
 
 
 def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
-    """The tints of both scenes; an object has one tint, also under a new name."""
+    """Return the tints of both scenes; a renamed object keeps its tint."""
     from simfoundry.reports.pictures import tints_of
 
     was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
@@ -147,13 +147,13 @@ def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tu
 
 
 def _lowered(side: Side | None) -> Scene | str:
-    """The scene of a side, or why there is none."""
+    """Return the scene of a side, or the reason why there is none."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
 
     if side is None:
-        return "There is no such document."
+        return "The document does not exist."
     if not isinstance(side.spec, SceneSpec):
         return "This is not a scene."
     try:
@@ -161,20 +161,20 @@ def _lowered(side: Side | None) -> Scene | str:
     except SpecError as error:
         first = error.diagnostics[0]
         count = len(error.diagnostics)
-        return f"It cannot be shown: {first.message}" + (f" (and {count - 1} more)" if count > 1 else "") + "."
+        return f"The scene cannot be shown: {first.message}" + (f" (and {count - 1} more)" if count > 1 else "") + "."
     except (SimfoundryError, OSError, ValueError) as error:
-        return f"It cannot be shown: {error}"
+        return f"The scene cannot be shown: {error}"
 
 
 def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
-    """The camera from which a scene is seen, if its viewpoint is a camera."""
+    """Return the scene's viewpoint if it is a camera."""
     if side is None or isinstance(scene, str) or not isinstance(side.spec, SceneSpec):
         return None
     return next((c for c in scene.cameras if c.name == side.spec.viewpoint), None)
 
 
 def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
-    """The changed objects of the old or the new scene by the name that they have there, each with its CSS class."""
+    """Changed objects of the old or the new scene by their names in it, each with its CSS class."""
     out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":
@@ -197,7 +197,7 @@ def _side(
 
 
 def _tag(label: Label, key: str, entry: MemberChange) -> dict[str, str]:
-    """A label, and the line from it to what it names, in percent of the picture."""
+    """Return a label, and the line from it to its object, in percent of the picture."""
     places = {
         "x": label.x,
         "y": label.y,

@@ -1,4 +1,4 @@
-"""Real against simulated success rates as a picture: one point for each policy and task, as the paper's figure."""
+"""Scatter plot of real against simulated success rates: one point per policy and task, as in the paper's figure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from simfoundry.evaluate.statistics.correlation import RateAgreement, mean_agree
 from simfoundry.reports.render import render
 
 SIDE, MARGIN, LEGEND = 440, 56, 210
-"""The side of the plot, the room about it for axes, and the width of the legend [px]: readable beside a text."""
+"""Side of the plot, margin for its axes, and width of the legend [px]: readable when embedded in text."""
 
 COLORS = ("#2f6fde", "#e07b1a", "#2a9d63", "#b23a8f", "#6b7280")
 PATHS = {
@@ -20,11 +20,11 @@ PATHS = {
     "plus": "M-6 0H6M0-6V6",
     "star": "M0-7L2-2H7L3 1.5L4.5 7L0 3.5L-4.5 7L-3 1.5L-7-2H-2Z",
 }
-"""Marks of tasks, as SVG paths about their middle."""
+"""Markers of tasks, as SVG paths centred at the origin."""
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:
-    """Return an SVG of every series of agreements by its name; the colour tells the series, the mark the task."""
+    """Return an SVG of every series of agreements by name; the color encodes the series, the marker the task."""
     tasks = list(dict.fromkeys(a.task for found in series.values() for a in found))
     marks = {task: list(PATHS)[k % len(PATHS)] for k, task in enumerate(tasks)}
     colors = {name: COLORS[k % len(COLORS)] for k, name in enumerate(series)}

@@ -1,6 +1,6 @@
-"""An evaluation as one page: conditions, success with intervals, grids of starts, failures, videos.
+"""Evaluation report as one page: conditions, success with intervals, grids of starts, failures, videos.
 
-Videos are linked by their paths beside the page.
+Videos are linked by relative paths.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from simfoundry.reports.render import render
 Record = Mapping[str, Any]
 
 GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
-"""Colours of rollouts that succeeded, failed, and have no result: those of the style, on a light and a dark ground."""
+"""Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds."""
 
 
 @dataclass(frozen=True)
 class RateCell:
-    """A cell of a table: a rate with its interval, or a text; ``trouble`` stands below it."""
+    """Table cell with a rate and its interval, or a text; ``trouble`` is shown below it."""
 
     rate: Rate | None = None
     text: str = "–"
@@ -33,7 +33,7 @@ class RateCell:
 
 @dataclass(frozen=True)
 class RateRow:
-    """A row of a table: its head, how many tasks it is about (0: not said), and a cell for each policy."""
+    """Table row: its head, the number of its tasks (0: not shown), and a cell for each policy."""
 
     head: str
     each: Sequence[RateCell]
@@ -42,7 +42,7 @@ class RateRow:
 
 
 def page(records: Sequence[Record], title: str = "Evaluation") -> str:
-    """Return the whole page."""
+    """Return the complete page."""
     by_cell: dict[tuple[str, ...], list[Record]] = {}
     for record in records:
         by_cell.setdefault(cell_key(record), []).append(record)
@@ -67,7 +67,7 @@ def _policies(names: Iterable[str]) -> list[str]:
 
 
 def _conditions(records: Sequence[Record]) -> dict[str, str]:
-    """Versions, engines, robots, seeds and counts: the conditions under which all this was found."""
+    """Versions, engines, robots, seeds and counts: the conditions of the evaluation."""
     robots = sorted({f"{name}: {kind}" for r in records for name, kind in r["robots"].items()})
     recipes = sorted({r["cousin"]["recipe"] for r in records if r.get("cousin")})
     return {
@@ -100,14 +100,14 @@ def _success(cell: ScoreRow) -> RateCell:
 
 
 def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
-    """All tasks together, and each step of them."""
+    """Rows for all tasks together, and for each of their steps."""
     policies = _policies(pool.policy for pool in found)
     for name, here in pool_rows(found).items():
         tasks = max(len(pool.counts) for pool in here.values())
         yield RateRow(name, [RateCell(here[p].rate) if p in here else RateCell() for p in policies], tasks)
         if not all(pool.is_balanced for pool in here.values()):
             alike = [RateCell(None, here[p].stratified_text) if p in here else RateCell() for p in policies]
-            yield RateRow("each task weighs the same", alike, step=True)
+            yield RateRow("tasks weighted equally", alike, step=True)
         yield from _step_rows(dict.fromkeys(s for pool in here.values() for s in pool.subtasks), here, policies)
 
 
@@ -120,7 +120,7 @@ def _step_rows(
 
 
 def _task(name: str, here: Sequence[ScoreRow], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
-    """One task with what it asks for, and what each policy did."""
+    """Return one task with its requirements, and the results of each policy."""
     record = by_cell[here[0].key][0]
     return {
         "name": name,
@@ -145,7 +145,7 @@ def _details(cell: ScoreRow, records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
-    """The cells of an object's region, x up and y to the left as the arm sees them; each with its rollout."""
+    """Cells of an object's region, x up and y to the left as seen from the arm; each with its rollout."""
     here = [record for record in records if name in record["cells"]]
     region = here[0]["regions"][name]
     cells_ = [
@@ -167,7 +167,7 @@ def _steps_done(record: Record) -> str:
 
 
 def _why(record: Record) -> str:
-    """Why a rollout ended as it did, with what its goal lacked in the last state."""
+    """Explain the end of a rollout, with the unmet goals in its last state."""
     if record["success"]:
         return f"success after {record['steps']} steps"
     said = [record["reason"] or record["end"]]

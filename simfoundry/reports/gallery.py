@@ -1,4 +1,4 @@
-"""``gallery.html``: pictures of the first cousins, what they were asked for, and why candidates were rejected."""
+"""``gallery.html``: pictures of the first cousins, their requested variations, and reasons for rejections."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PICTURES = "pictures"
 
 
 def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write the page, and the pictures that are not there yet, of at most ``most`` cousins."""
+    """Write the page, and the missing pictures of at most ``most`` cousins."""
     with Reader() as reader:
         places = islice((place for place in ledger.counted() if place.accepted), most)
         shown = [reader.candidate(place) for place in places]
@@ -36,7 +36,7 @@ def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[
 
 
 def _picture(out: Path, candidate: Candidate) -> Path | None:
-    """The picture of a cousin's scene, drawn unless it is there; None if it has no scene of its own, or no camera."""
+    """Return the picture of a cousin's scene, rendered if missing; None if it has no scene of its own, or no camera."""
     if "scene" not in candidate.documents:
         return None
     path = out / PICTURES / f"{candidate.index:06d}.png"
@@ -55,7 +55,10 @@ def page(
     reasons: Mapping[str, str],
     variants: Sequence[str] = (),
 ) -> str:
-    """Return the page; ``pictures`` by index, ``reasons`` an example of each, ``variants`` what came of each object."""
+    """Return the page.
+
+    ``pictures`` are given by index, ``reasons`` are one example each, and ``variants`` are the results for each object.
+    """
     title = f"Cousins: {facts['recipe']}"
     return render(
         "gallery.html.j2",

@@ -1,4 +1,4 @@
-"""Labels beside what they name in a picture, none over another."""
+"""Labels beside their objects in a picture, without overlaps."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ if TYPE_CHECKING:
     from simfoundry.reports.pictures import Tag
 
 FONT = 0.024
-"""The size of the letters as a share of the picture's width: 15 px where two pictures share a wide page."""
+"""Font size as a share of the picture's width: 15 px if two pictures share a wide page."""
 
 LONGEST = 24
-"""Longer names end in dots: as wide as a third of a picture."""
+"""Length from which names are truncated with dots: a third of a picture's width."""
 
 _LETTER, _PADDING, _LINE, _GAP = 0.64, 1.0, 1.5, 0.2
-"""Width of a letter of the widest usual fonts, room at both sides of a name, height of a label, and least room between
-two, all as shares of the size of the letters."""
+"""Character width of the widest common fonts, padding of a name on both sides, height of a label, and least gap between
+two, all as shares of the font size."""
 
 _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
-"""Shifts of a label to the side, as shares of its width; below 0.5, so that the line to its object starts under it."""
+"""Sideways shifts of a label, as shares of its width; below 0.5, so that the line to its object starts under it."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A label with its middle at ``x`` and its lower edge at ``y``, ``width`` and ``height``; a line goes down to
-    ``thing``, where it is (``thing_x``, ``thing_y``). All are shares of the picture."""
+    """Label with its middle at ``x`` and its lower edge at ``y``, of size ``width`` and ``height``.
+
+    A line goes down to the object ``thing`` at (``thing_x``, ``thing_y``). All values are shares of the picture.
+    """
 
     name: str
     x: float
@@ -38,11 +40,11 @@ class Label:
 
     @property
     def text(self) -> str:
-        """The name, shortened where it is long."""
+        """Name, shortened if it is long."""
         return self.name if len(self.name) <= LONGEST else f"{self.name[: LONGEST - 1]}…"
 
     def meets(self, other: Label) -> bool:
-        """Return whether two labels touch."""
+        """Return whether two labels overlap."""
         return (
             abs(self.x - other.x) < (self.width + other.width) / 2
             and self.y - self.height < other.y
@@ -51,12 +53,12 @@ class Label:
 
 
 def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
-    """A label for each tag, above its thing where there is room; those for which there is none are left out.
+    """Return a label for each tag, above its object if there is space; tags without space are left out.
 
-    ``aspect`` is the width of the picture over its height.
+    ``aspect`` is the width of the picture divided by its height.
     """
     placed: list[Label] = []
-    for tag in sorted(tags, key=lambda t: (-t.y, t.x, t.name)):  # what is in front keeps its label near
+    for tag in sorted(tags, key=lambda t: (-t.y, t.x, t.name)):  # objects in front keep their labels close
         free = (label for label in _candidates(tag, aspect) if not any(map(label.meets, placed)))
         label = next(free, None)
         if label is not None:
@@ -65,7 +67,7 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
 
 
 def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
-    """Yield places for a label inside the picture, the nearest first: above its object, then below."""
+    """Yield positions of a label inside the picture, nearest first: above its object, then below."""
     height = (_LINE + _GAP) * FONT * aspect
     width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
     above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)

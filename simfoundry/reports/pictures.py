@@ -1,4 +1,4 @@
-"""Pictures of a scene before and after a change, from one camera, with what changed outlined."""
+"""Pictures of a scene before and after a change, from one camera, with the changed objects outlined."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from simfoundry.scene.bodies import GREY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480
-"""Default size of a picture, and the largest of any [px]: two fit side by side on a page of 1320 px."""
+"""Default and maximum size of a picture [px]: two fit side by side on a page of 1320 px."""
 
 VIEW_DEG = 40.0
-"""Vertical angle of view of the default camera [deg]: a wider one bends what stands upright at the edges."""
+"""Vertical field of view of the default camera [deg]: a wider one distorts upright objects at the edges."""
 
 FROM = (-0.72, -0.62, 0.62)
-"""Where the default camera stands, seen from the middle of the scene: behind the robot's right shoulder."""
+"""Position of the default camera relative to the middle of the scene: behind the robot's right shoulder."""
 
 MARGIN = 1.08
-"""Room that the default camera leaves around the objects, as a factor on their radius; less would cut outlines."""
+"""Margin of the default camera around the objects, as a factor on their radius; less would cut off outlines."""
 
 RIM = 4
-"""Width of the outline of a changed object [px]; narrower ones vanish when the page shrinks a picture."""
+"""Outline width of a changed object [px]; narrower outlines vanish when the page scales a picture down."""
 
 GOLDEN = (5**0.5 - 1) / 2
-"""Hues a golden section apart are far from each other, however many there are."""
+"""Step between hues: multiples of the golden ratio stay far apart for any number of hues."""
 
 Tint = tuple[float, float, float]
 Image = NDArray[np.uint8]
@@ -40,7 +40,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Tag:
-    """The place of an object in a picture: ``x`` of its middle and ``y`` of its top, as shares of width and height."""
+    """Position of an object in a picture: ``x`` of its middle and ``y`` of its top, as shares of width and height."""
 
     name: str
     x: float
@@ -49,7 +49,7 @@ class Tag:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture as PNG bytes, its size [px], and tags of the changed things that are seen in it."""
+    """Picture as PNG bytes, its size [px], and tags of the changed objects visible in it."""
 
     png: bytes
     width: int
@@ -60,9 +60,9 @@ class Picture:
 def picture(
     scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]], tints: Mapping[str, Tint] | None = None
 ) -> Picture:
-    """Draw ``scene`` as ``camera`` sees it, with the objects named in ``colors`` outlined in their colour (sRGB bytes).
+    """Render ``scene`` from ``camera``, with the objects in ``colors`` outlined in their color (sRGB bytes).
 
-    Things without a colour of their own are shown in their tint (sRGB, 0 to 1).
+    Objects without their own color are shown in their tint (sRGB, 0 to 1).
     """
     painted = tuple(_tinted(item, (tints or {}).get(item.name)) for item in scene.objects)
     seen = raycast(replace(scene, objects=painted), camera, samples=2)
@@ -76,13 +76,13 @@ def picture(
 
 
 def tints_of(names: Iterable[str]) -> dict[str, Tint]:
-    """A pale tint for each name, as far from the others as can be, in order; the same names give the same tints."""
+    """Return a pale tint for each name, in order, as different as possible; equal names give equal tints."""
     hues = {name: k * GOLDEN % 1.0 for k, name in enumerate(dict.fromkeys(names))}
     return {name: colorsys.hls_to_rgb(hue, 0.68, 0.42) for name, hue in hues.items()}
 
 
 def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
-    """An object with what is grey, for want of a colour, in a tint; what is fixed stays grey, as a ground."""
+    """Return an object with its default-grey parts tinted; fixed objects stay grey, as a background."""
     if tint is None or item.fixed:
         return item
     rgba = frozen_array((*tint, 1.0))
@@ -97,7 +97,7 @@ def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
 
 
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
-    """The first chosen camera, made small enough; without one a view of all that is in the scenes."""
+    """Return the first chosen camera, scaled down if needed; by default a view of everything in the scenes."""
     for camera in chosen:
         if camera is not None:
             return _shrunk(camera)
@@ -120,7 +120,7 @@ def _shrunk(camera: Camera) -> Camera:
 
 
 def _overview(scenes: list[Scene]) -> Camera:
-    """A three-quarter view of what is not fixed, or of everything where all is."""
+    """Three-quarter view of the objects that are not fixed, or of all objects if all are fixed."""
     points = [p for scene in scenes for p in (_corners(scene, free=True),) if len(p)]
     points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
     cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
@@ -141,7 +141,7 @@ def _corners(scene: Scene, free: bool) -> Array:
 
 
 def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:
-    """Draw a rim around the thing with a label, in place; never over what covers less of the picture than the thing."""
+    """Outline the object with a label, in place, but never over an object with a smaller visible area."""
     mask = seen == label
     h, w = mask.shape
     padded = np.pad(mask, RIM)
@@ -151,7 +151,7 @@ def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int
             if dx * dx + dy * dy <= RIM * RIM:
                 near |= padded[RIM + dy : RIM + dy + h, RIM + dx : RIM + dx + w]
     area = np.bincount(seen.ravel())
-    area[0] = seen.size  # the background is larger than anything
+    area[0] = seen.size  # the background counts as larger than any object
     image[near & ~mask & (area[seen] >= area[label])] = np.array(color, dtype=np.uint8)
 
 

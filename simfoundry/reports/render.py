@@ -1,4 +1,4 @@
-"""Render a template. Every text is escaped, so that no name of a document becomes markup."""
+"""Template rendering. All text is escaped, so that names in documents cannot become markup."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def render(template: str, **values: Any) -> str:
-    """Return the text of a template of ``reports/templates``; a value that it asks for and does not get is an error."""
+    """Return the text of a template in ``reports/templates``; a missing template variable is an error."""
     return _environment().get_template(template).render(values)
 
 

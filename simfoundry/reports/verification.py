@@ -1,4 +1,4 @@
-"""The results of ``simfoundry verify`` as one page that needs nothing else: tables, bars, pictures."""
+"""Results of ``simfoundry verify`` as one self-contained page: tables, bars and pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
 
 _LEGEND = {
     ProofStatus.OK: "ok",
-    ProofStatus.KNOWN: "not kept, and said so",
+    ProofStatus.KNOWN: "lost as reported",
     ProofStatus.MISMATCH: "differs",
     ProofStatus.FAILED: "failed",
 }
@@ -31,7 +31,7 @@ def page(
     pictures: Mapping[str, bytes],
     rested: Sequence[RestResult] = (),
 ) -> str:
-    """Return the whole page; ``pictures`` are PNGs by the name of the scene."""
+    """Return the complete page; ``pictures`` are PNGs by the name of the scene."""
     stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
     by_name = _rows(((m.behaviour, m) for m in results), stepping)
@@ -74,7 +74,7 @@ def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, d
 def summary(
     readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult] = ()
 ) -> str:
-    """Return one sentence: how much was compared, and how much is wrong."""
+    """Return one sentence with the numbers of comparisons and of errors."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
@@ -83,8 +83,8 @@ def summary(
     off = sum(m.verdict is ProofStatus.MISMATCH for m in results)
     text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
     if results:
-        text += f"; {len(results)} behaviours measured, {off} are off without a reason"
+        text += f"; {len(results)} behaviours measured, {off} are off without a known reason"
     if rested:
         apart = sum(r.verdict is ProofStatus.MISMATCH for r in rested)
-        text += f"; {len(rested)} scenes left alone, {apart} end elsewhere than in other engines"
+        text += f"; {len(rested)} scenes simulated for 2 s, {apart} end in a different state than in other engines"
     return text + (f"; {failed} failed" if failed else "") + "."

@@ -1,1 +1,1 @@
-"""The lowered scene: everything explicit, nothing left to a simulator's guess."""
+"""The lowered scene: everything explicit, no simulator defaults left to apply."""

@@ -1,4 +1,4 @@
-"""What is seen around a scene, read from its file: a mesh or a splat that nothing touches."""
+"""Visual surroundings of a scene, read from a file: a mesh or a splat without collisions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simfoundry.spec.models import scene as spec
 
 
 def lower_background(loaded: Loaded, written: spec.BackgroundSpec, X_WB: Pose) -> Background:
-    """The background of a scene; raises :class:`SpecError` where its file cannot be used."""
+    """Return the background of a scene; raises :class:`SpecError` if its file cannot be used."""
     key = "mesh" if written.mesh is not None else "splat"
     path = loaded.file(written.mesh or written.splat or "")
     try:
@@ -33,7 +33,7 @@ def lower_background(loaded: Loaded, written: spec.BackgroundSpec, X_WB: Pose) -
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """The pieces of a mesh file as they are seen: a texture shows as it is, what has no colour is grey."""
+    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are grey."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         faces = np.array(piece.faces, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""One rigid body from its description: visuals, colliders, mass, centre of mass, inertia."""
+"""Build one rigid body from its description: visuals, colliders, mass, centre of mass and inertia."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 
 GREY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
-"""Density [kg/m^3] of a piece that gives none, where that is allowed: its body is fixed, or its mass is given."""
+"""Density [kg/m^3] of a piece without one, which is allowed if its body is fixed or has a given mass."""
 
 LEAST_MASS = LEAST_MOMENT = 1e-15
-"""What moves and has less mass [kg] or less inertia [kg m^2], MuJoCo refuses."""
+"""Least mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body."""
 
 
 class MeshUse(NamedTuple):
-    """The options of reading a mesh file: its ``scale``, whether it ``touches`` others, its solid and its colliders.
+    """Options for reading a mesh file: its ``scale``, whether it ``touches`` others, its solid and its colliders.
 
-    ``solid`` is `given` where the body is weighed already: then the mesh need not be closed.
+    ``solid`` is `given` if the body's mass is known already; the mesh then need not be closed.
     """
 
     scale: float
@@ -52,10 +52,10 @@ class MeshUse(NamedTuple):
 
 @dataclass
 class BodyBuilder:
-    """Collects the parts of one link, then computes the link. Raises :class:`MeshError` for meshes it cannot use.
+    """Collects the parts of one link and computes the link. Raises :class:`MeshError` for unusable meshes.
 
-    Where it is ``weighed`` already, no part needs a volume. A ``draft`` shows no meshes and never cuts one: of a mesh
-    whose convex parts no cache has, the hull stands for it, and the link ``is_approximate``.
+    If the link is ``weighed`` already, no part needs a volume. A ``draft`` shows no meshes and decomposes none: a mesh
+    without cached convex parts is represented by its hull, and the link ``is_approximate``.
     """
 
     name: str
@@ -72,7 +72,7 @@ class BodyBuilder:
     report: Callable[[str], object] = lambda said: None
 
     def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
-        """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
+        """Add a primitive posed in the link; ``show`` is False if a mesh is shown in its place."""
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
             self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
@@ -89,7 +89,7 @@ class BodyBuilder:
     def add_mesh(
         self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
     ) -> None:
-        """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
+        """Add a mesh file posed in the link: all of it is visual; one solid gives its mass and its colliders."""
         solid: Literal["exact", "hull", "given"] = "given" if self.weighed else self.body.solid
         body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
         if show and _use(part) != "collision":
@@ -102,11 +102,11 @@ class BodyBuilder:
             self._collide(label, geometry, X_LG @ X_GP, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
-        """Add a mesh file that is only looked at."""
+        """Add a visual-only mesh file."""
         self._show(name, self._mesh_body(path, MeshUse(scale, touches=False)).pieces, IDENTITY, None)
 
     def _mesh_body(self, path: Path, use: MeshUse) -> MeshBody:
-        from simfoundry.scene import mesh_bodies  # most scenes that are checked have no mesh
+        from simfoundry.scene import mesh_bodies  # imported late: most scenes that are checked have no mesh
 
         if self.draft:
             return mesh_bodies.draft_body(path, use, self.cache)
@@ -121,14 +121,14 @@ class BodyBuilder:
             self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
-        """The finished link; raises :class:`MeshError` where it has no mass."""
+        """Return the finished link; raises :class:`MeshError` if it has no mass."""
         total = quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
             return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia), fixed)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
-        if total is not None or fixed:  # of a given mass only the shares matter; what is fixed does not move
+        if total is not None or fixed:  # a given mass is only distributed over the parts; a fixed body needs no mass
             densities = [USUAL_DENSITY if d is None else d for d in densities]
         if any(d is None for d in densities):
             raise MeshError(
@@ -136,7 +136,7 @@ class BodyBuilder:
             )
         weighed = [(d, s) for d, (_, _, s) in zip(densities, self.solids, strict=True) if d is not None]
         if not 0 < sum(d * s.volume for d, s in weighed) < math.inf:
-            raise MeshError("SF104", f"`{self.name}` has a mass beyond all numbers", "check its sizes and densities")
+            raise MeshError("SF104", f"the mass of `{self.name}` is not finite", "check its sizes and densities")
         computed, com, inertia = mass.combine(weighed)
         if total is not None:
             inertia = inertia * (total / computed)
@@ -145,7 +145,7 @@ class BodyBuilder:
         return self._finished(total if total is not None else computed, com, inertia, fixed)
 
     def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
-        inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
+        inertia = (inertia + inertia.T) / 2  # exactly symmetric despite rounding
         link = Link(
             self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders),
             self.collision_error,
@@ -153,7 +153,7 @@ class BodyBuilder:
         least = _check_inertia(link)
         if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
-            raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
+            raise MeshError("SF104", f"{shown}, which is too small for a simulator", "check its mass, sizes and units")
         return link
 
     def _weigh(self, name: str, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
@@ -176,7 +176,7 @@ class BodyBuilder:
         return Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """The colour by the nearest word on it: the part's, the body's, the mesh's own, the material's, grey."""
+        """Return the color: the part's, the body's, the mesh's own, the material's, or grey, in this order."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
                 return frozen((*color, 1.0)[:4])
@@ -184,17 +184,17 @@ class BodyBuilder:
 
 
 def _use(part: PartSpec | None) -> str:
-    """The use of a part; anything else is both seen and touched."""
+    """Return the use of a part: by default both visual and collision."""
     return "both" if part is None else part.use
 
 
 def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
-    """Names for the convex parts of a piece: numbered, but for a single one whose name no visual has."""
+    """Return names for the convex parts of a piece: numbered, unless there is one and no visual has its name."""
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
-    """The colour that a mesh brings along; a texture shows as it is."""
+    """Return the color stored in a mesh; textures are used unchanged."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
 
 
@@ -204,10 +204,13 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
 
 
 def _check_inertia(link: Link) -> float:
-    """The least moment; those of a real body are positive, and none exceeds the sum of the other two."""
+    """Return the smallest principal moment.
+
+    Raises unless all moments are positive and none exceeds the sum of the other two, as in any real body.
+    """
     moments = sorted(link.principal[0].tolist())
     if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
-        message = f"`{link.name}` has the moments of inertia {shown}, which no body has"
+        message = f"`{link.name}` has the moments of inertia {shown}, which no rigid body can have"
         raise MeshError("SF104", message, "check `inertial`")
     return float(moments[0])

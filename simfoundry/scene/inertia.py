@@ -1,4 +1,4 @@
-"""What a motor in a joint has to move."""
+"""Effective inertias at the joints of an object."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from simfoundry.scene.trees import Tree
 
 
 def effective_inertias(tree: Tree) -> dict[str, float]:
-    """Inertia that a force in each joint with an axis feels in the initial state [kg m^2 or kg], by joint name.
+    """Inertia felt by a force at each one-axis joint in the initial state [kg m^2 or kg], by joint name.
 
-    All other joints give way, without friction or motors: it is the least that there can be.
+    All other joints move freely, without friction or motors, so this is the smallest possible value.
     """
     columns, names = _columns(tree)
     mass_matrix = np.zeros((len(columns), len(columns)))
@@ -34,11 +34,11 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
 
 
 _Column = tuple[Joint | None, Array, Array, bool]
-"""One way to move: the joint, or None for the free root, a point on its axis, the axis, whether it slides."""
+"""One degree of freedom: the joint, or None for the free root; a point on its axis, the axis, and whether it slides."""
 
 
 def _columns(tree: Tree) -> tuple[list[_Column], list[str]]:
-    """The ways in which a tree can move, in the object's frame, and the joint of each that has one axis."""
+    """Degrees of freedom of a tree, in the object's frame, and the joint of each that has one axis."""
     X_OL = link_poses(tree.owner)
     columns: list[_Column] = []
     names: list[str] = []
@@ -58,7 +58,7 @@ def _columns(tree: Tree) -> tuple[list[_Column], list[str]]:
 
 
 def _carried(tree: Tree) -> dict[str, frozenset[str]]:
-    """The joints between the root and each link, by link."""
+    """Joints between the root and each link, by link."""
     above: dict[str, frozenset[str]] = {tree.root.name: frozenset()}
     carriers = {joint.child: joint for joint in tree.joints}
     for link in tree.links[1:]:

@@ -1,4 +1,4 @@
-"""Where the links of an object are, given its joint positions."""
+"""Forward kinematics of an object: the poses of its links at given joint positions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""SceneSpec to Scene: every default resolved, every frame composed, every mass and convex part computed.
+"""Lower a SceneSpec to a Scene: all defaults resolved, frames composed, masses and convex parts computed.
 
-The same documents give the same scene on every machine. A finding in a mesh is reported at the line that names it.
+The same documents give the same scene on every machine. Errors in a mesh are reported at the line that names it.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from simfoundry.spec.models.scene import CameraSpec, LightSpec, SceneSpec
 
 @dataclass
 class Lowering:
-    """The state that the passes of one lowering share: the document, the options, the objects of which little is known.
+    """State shared by the passes of one lowering: the document, the options, and the approximate objects.
 
-    ``fetch`` says whether models of robots are downloaded. A ``draft`` reads no meshes: of one whose convex parts no
-    ``cache`` has, the hull stands for it, and it is in ``approximate``. In a draft a place that depends on such an
-    object is no error where it cannot be solved; ``unplaced`` are the objects whose pose is therefore uncertain.
+    ``fetch`` allows downloads of robot models. A ``draft`` reads no meshes: a mesh without convex parts in the
+    ``cache`` is represented by its hull, and its object is in ``approximate``. In a draft, a placement that depends on
+    such an object may fail without an error; ``unplaced`` are the objects whose pose is therefore uncertain.
     """
 
     loaded: Loaded
@@ -57,17 +57,17 @@ class Lowering:
 
     @property
     def spec(self) -> SceneSpec:
-        """The document's content."""
+        """Content of the document."""
         assert isinstance(self.loaded.spec, SceneSpec)
         return self.loaded.spec
 
     @property
     def places(self) -> dict[str, Place]:
-        """The places that are still to be solved into poses, by object."""
+        """Placements still to be solved into poses, by object."""
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
     def run(self, passes: tuple[Pass, ...]) -> Scene:
-        """Return the scene that passes make of the document; raises :class:`SpecError` with every finding of one."""
+        """Run the passes and return the scene; raises :class:`SpecError` with every finding of the failing pass."""
         if self.loaded.errors:
             raise SpecError(self.loaded.errors)
         scene = Scene(self.spec.name, frozen(self.spec.gravity, (3,)), (), viewer=viewer(self.spec))
@@ -82,8 +82,9 @@ Pass = Callable[[Lowering, Scene], Scene]
 def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
     """Lower a checked scene document; raises :class:`SpecError` with every finding.
 
-    ``cache`` keeps convex decompositions between runs; ``progress`` is called with a name, how many objects are done,
-    and how many there are. Without ``fetch`` no robot's model is downloaded: one that is not here is left out.
+    ``cache`` keeps convex decompositions between runs. ``progress`` is called with a name, the number of finished
+    objects, and their total number. Without ``fetch`` no robot model is downloaded; a robot whose model is missing is
+    left out.
     """
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
 
@@ -99,11 +100,11 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 
 
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the objects but for their places; raises :class:`SpecError` with every finding.
+    """Lower the objects without their placements; raises :class:`SpecError` with every finding.
 
-    What is to be inside of something, and all below it, comes first: whether it fits is known before the meshes of all
-    other objects are cut into convex parts, which may take minutes, and often before its own. Where it does not, these
-    are looked at uncut.
+    Objects placed inside others, and all objects that these depend on, come first: whether they fit is then known
+    before the meshes of the remaining objects are decomposed, which may take minutes, and often before their own are.
+    If one does not fit, the remaining meshes are checked without decomposition.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, len(spec.objects), draft=lowering.draft)
@@ -125,7 +126,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
-    """The objects with a place `inside` another and all that these places depend on, in the order of the spec."""
+    """Objects placed `inside` another and all objects that these depend on, in the order of the spec."""
     from simfoundry.scene.place import needs
 
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
@@ -140,7 +141,7 @@ def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
 
 
 def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
-    """Findings of places `inside` that are certain before meshes that no cache has are cut."""
+    """Findings for `inside` placements that certainly fail, before uncached meshes are decomposed."""
     from simfoundry.scene.misfits import certain_misfits, uncut
 
     spec, loaded = lowering.spec, lowering.loaded
@@ -158,7 +159,7 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
 
 
 def _misfits(lowering: Lowering, objects: Mapping[str, SceneObject]) -> Iterator[Diagnostic]:
-    """Findings of the places of some objects that depend on no others."""
+    """Findings for the placements of some objects that depend on no others."""
     from simfoundry.scene.place import place_all
 
     places = {name: place for name, place in lowering.places.items() if name in objects}
@@ -176,7 +177,7 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     solved, errors = place_all(scene.by_name, places, scene.viewer)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
-            # Each variant stands where it belongs, among all other things as they are.
+            # Each variant gets its own solved pose, with all other objects unchanged.
             stood = [place_all(solved | {name: v}, {name: places[name]}, scene.viewer) for v in item.variants]
             solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
             errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
@@ -193,9 +194,9 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
-    """Note the pairs of links that the scene keeps from touching: of one object in it, of two in the scene.
+    """Collect the excluded pairs of links: within an object in the object, between objects in the scene.
 
-    Those between objects are of links by qualified name, each once.
+    Pairs between objects use qualified link names, each pair once.
     """
     by_name = dict(scene.by_name)
 
@@ -218,7 +219,7 @@ def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the robots whose models are there; what rides on one that is not is left out with it."""
+    """Lower the robots whose models are available; a robot without a model is left out with its mounted cameras."""
     spec = lowering.spec
     if not spec.robots:
         return scene
@@ -232,12 +233,12 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
         except NoModelError as error:
             lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
-            lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
+            lost += [LeftOut(f"cameras.{n}", f"it is mounted on `{name}`, whose model was not found") for n in carried]
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
 
 
 def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the cameras; one is left out if the variant that stands lacks the link that it is mounted on."""
+    """Lower the cameras; leave out those mounted on a link that the selected variant lacks."""
     fixed, mounted, lost = [], [], []
     robots = {robot.name for robot in scene.robots}
     for name, spec in lowering.spec.cameras.items():
@@ -247,7 +248,7 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
         carrier, _, link = spec.mount.partition(".")
         item = scene.by_name.get(carrier)
         if item is not None and link and link not in {each.name for each in item.links}:
-            reason = f"`{carrier}` stands as its variant `{item.variant}`, which has no link `{link}`"
+            reason = f"the variant `{item.variant}` of `{carrier}` has no link `{link}`"
             lost.append(LeftOut(f"cameras.{name}", reason))
         elif item is not None or carrier in robots:
             mounted.append(MountedCamera(carrier, link, camera(name, spec)))
@@ -255,7 +256,7 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower lights and background, and leave out the textures of objects that cannot be shown."""
+    """Lower lights and background, and leave out unusable textures of objects."""
     from simfoundry.scene.background import lower_background
 
     spec = lowering.spec
@@ -270,7 +271,7 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
-    """Keep the document with its relations, for what judges the scene and for targets that can give it back."""
+    """Keep the document with its relations, for judging the scene and for targets that embed the document."""
     relations = tuple(_relation(text) for text in lowering.spec.relations)
     source = Source.of(_file_in_project(lowering.loaded), to_data(lowering.spec))
     return replace(scene, relations=relations, source=source)
@@ -284,9 +285,9 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 
 
 def viewer(spec: SceneSpec) -> Pose | None:
-    """The frame, x away and y left, in which left, right, front and behind are meant; None for that of the world.
+    """Frame, x away and y left, that defines left, right, front and behind; None for the world frame.
 
-    A robot sees along the x axis of its base, and so does a camera that it carries.
+    A robot looks along the x axis of its base, and so does a camera mounted on it.
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
@@ -298,7 +299,7 @@ def viewer(spec: SceneSpec) -> Pose | None:
 
 
 def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
-    """The textures of objects that cannot be shown."""
+    """Textures of objects that cannot be used."""
     from simfoundry.assets.textures import document_faults
 
     for (_, name, _), fault in document_faults(loaded, spec):
@@ -316,7 +317,7 @@ def _relation(text: str) -> Relation:
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:
-    """A camera with its principal point and its pose resolved."""
+    """Camera with resolved principal point and pose."""
     width, height = spec.size
     cx = (width - 1) / 2 if spec.cx is None else spec.cx
     cy = (height - 1) / 2 if spec.cy is None else spec.cy
@@ -328,7 +329,7 @@ def camera(name: str, spec: CameraSpec) -> Camera:
 
 
 def _light(name: str, spec: LightSpec) -> Light:
-    """A light; it shines along -z of its frame."""
+    """Convert a light; it shines along -z of its frame."""
     X_WL = Pose.of(spec.xyz)
     if spec.type == "distant":
         aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
@@ -337,6 +338,6 @@ def _light(name: str, spec: LightSpec) -> Light:
 
 
 def _file_in_project(loaded: Loaded) -> str:
-    """The path of a document within its project, the same on every machine."""
+    """Path of a document relative to its project, equal on every machine."""
     path = loaded.path.resolve()
     return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name

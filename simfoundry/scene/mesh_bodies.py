@@ -1,4 +1,4 @@
-"""Mesh files as bodies: read and cut into convex parts for a compile, or looked up for a draft."""
+"""Mesh files as bodies: read and decomposed for a compile, or looked up in the cache for a draft."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from simfoundry.scene.bodies import MeshUse
 
 
 class MeshBody(NamedTuple):
-    """A mesh file: the ``pieces`` that are seen, its ``solid`` of density 1 unless it is weighed, and its colliders.
+    """A mesh file: its visual ``pieces``, its ``solid`` of density 1 unless the mass is known, and its colliders.
 
-    It ``is_approximate`` where its hull stands for convex parts that are not known.
+    It ``is_approximate`` if its hull stands in for unknown convex parts.
     """
 
     pieces: tuple[MeshPart, ...] = ()
@@ -44,7 +44,7 @@ class MeshBody(NamedTuple):
 
 
 def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[str], object]) -> MeshBody:
-    """Read a mesh file, and cut it into convex parts that ``cache`` keeps; raises :class:`MeshError`."""
+    """Read a mesh file and decompose it into convex parts, cached in ``cache``; raises :class:`MeshError`."""
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
@@ -64,9 +64,9 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
 
 
 def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
-    """Return what is known of a mesh file without cutting it: its solid, and its convex parts or hull.
+    """Return a mesh file's solid, and its cached convex parts or its hull, without decomposing it.
 
-    Raises the :class:`MeshError` of :func:`read_body`.
+    Raises the same :class:`MeshError` as :func:`read_body`.
     """
     summary = mesh_facts(path, cache)
     if use.touches:
@@ -95,7 +95,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 
 
 def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
-    """The primitive that stands for a mesh, and its pose in that."""
+    """Primitive that represents a mesh, and its pose in the mesh frame."""
     turn = np.eye(4)
     turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
     X_GP = Pose.from_matrix(turn)
@@ -109,7 +109,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
-    """The solid that carries the mass, and the faces turned outward."""
+    """Solid that defines the mass, and the faces oriented outward."""
     if how == "hull":
         outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
         return mass.mesh(*hull(vertices, limit=len(vertices))), outward

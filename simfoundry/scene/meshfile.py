@@ -1,4 +1,4 @@
-"""Meshes and textures as files; named by their content, what is equal is written once."""
+"""Mesh and texture files, named by their content so that equal ones are written once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from simfoundry.geometry.shapes import Mesh
 
 
 def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:
-    """A mesh as Wavefront OBJ, in metres, with its texture coordinates (v up) where it has some.
+    """Return a mesh as Wavefront OBJ, in metres, with its texture coordinates (v up) if it has any.
 
-    ``material_file`` names an MTL file beside it whose only material, ``skin``, covers every face.
+    ``material_file`` names an adjacent MTL file whose only material, ``skin``, covers every face.
     """
     parts = [] if material_file is None else [f"mtllib {material_file}\n"]
     # Adding zero turns -0.0 into 0.0, which would print differently.
@@ -32,19 +32,19 @@ def _rows(form: str, values: np.ndarray) -> str:
 
 
 def texture_name(png: bytes) -> str:
-    """File name of a PNG texture."""
+    """Return the file name of a PNG texture."""
     return f"{hashlib.sha256(png).hexdigest()[:16]}.png"
 
 
 def has_texture(mesh: Mesh) -> bool:
-    """Return True for a mesh with a texture and the coordinates to apply it."""
+    """Return True if a mesh has a texture and texture coordinates."""
     return mesh.texture is not None and mesh.uv is not None
 
 
 def obj_with_material(mesh: Mesh, name: str = "") -> dict[str, bytes]:
-    """OBJ, and MTL and PNG where there is a texture, by file name; the OBJ comes first.
+    """Return an OBJ, with MTL and PNG if there is a texture, by file name; the OBJ comes first.
 
-    The files are called ``name``; without one, mesh and texture are named by their content.
+    The files are called ``name``; by default, mesh and texture are named by their content.
     """
     digest = name or mesh.digest
     if mesh.texture is None or mesh.uv is None:

@@ -1,7 +1,7 @@
-"""Places `inside` that certainly cannot be taken, found on uncut meshes: before a convex decomposition of minutes.
+"""Infeasible `inside` placements, detected on undecomposed meshes before a convex decomposition that takes minutes.
 
-The convex parts of a mesh contain the mesh, and fill its shallow hollows. So where the mesh of an object meets that of
-its container at every height at which the container would have walls around it, their parts do as well.
+The convex parts of a mesh contain the mesh and fill its shallow hollows. So if an object's mesh collides with that of
+its container at every height at which the container would have walls around it, their convex parts collide as well.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from simfoundry.scene.place import PlaceError, approach, misfit
 from simfoundry.spec.models.place import Place
 
 POINTS = 600
-"""Surface points of an object of which plumb lines are tried: a hand-sized mesh has one every few millimetres."""
+"""Number of surface points whose plumb lines are tested: one every few millimetres on a hand-sized mesh."""
 
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of the R2 sequence: powers of the inverse of the plastic number, which spread points evenly over a square."""
+"""Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square."""
 
 RESOLUTION = 0.02
-"""Hollows shallower than this share of the longest side are filled when a mesh is cut: CoACD goes on cutting only where
-they are deeper than 5 % (`threshold` in :mod:`simfoundry.assets.decompose`, of half of that side)."""
+"""Depth, as a share of the longest side, below which a decomposition fills hollows: CoACD splits only hollows that are
+deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.decompose`)."""
 
 
 def uncut(item: SceneObject) -> SceneObject:
-    """The object with the meshes that it shows as its colliders, in place of their hulls."""
+    """Return the object with its visual meshes as colliders, in place of their hulls."""
     return replace(item, links=tuple(_uncut_link(link) for link in item.links))
 
 
@@ -48,9 +48,9 @@ def _uncut_link(link: Link) -> Link:
 def certain_misfits(
     objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None, meshes: Collection[str]
 ) -> dict[str, PlaceError]:
-    """The objects that certainly fit at no height inside of what they are placed in; ``meshes`` are :func:`uncut`.
+    """Return the objects that certainly fit at no height inside their containers; ``meshes`` are :func:`uncut`.
 
-    Only objects are judged whose container has a pose of its own, or stands on one that has.
+    Only objects whose container has a pose, or stands on an object that has one, are tested.
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     found = {}
@@ -60,7 +60,8 @@ def certain_misfits(
         container = place.inside.partition(".")[0]
         if container not in objects:
             continue
-        stands = {**placed, container: objects[container]}  # it moves with its container, whose height does not matter
+        # It moves with its container, so the container's height does not matter.
+        stands = {**placed, container: objects[container]}
         if place.xy is not None and container in places:
             continue
         try:
@@ -74,9 +75,9 @@ def certain_misfits(
 
 
 def _is_blocked(held: Hulls, container: Hulls, slack: float) -> bool:
-    """True if the object meets the container at every height at which there could be walls around its foot.
+    """True if the object collides with the container at every height with walls around its base.
 
-    Free intervals of heights are none if they are shorter than ``slack`` [m].
+    Free intervals of heights shorter than ``slack`` [m] are ignored.
     """
     low, high = container.extent(np.array([0.0, 0.0, 1.0]))
     bottom, top = held.extent(np.array([0.0, 0.0, 1.0]))
@@ -90,7 +91,7 @@ def _is_blocked(held: Hulls, container: Hulls, slack: float) -> bool:
 
 
 def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float]]:
-    """Intervals of lifts [m] by which a point of the object comes to lie within a solid part of the container."""
+    """Intervals of lifts [m] that move a point of the object into a solid part of the container."""
     corners = container.corners[container.triangles]
     part = container.part[container.triangles[:, 0]]
     flat = corners[:, :, :2]
@@ -106,7 +107,7 @@ def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float
 
 
 def _surface_points(shape: Hulls) -> Array:
-    """:data:`POINTS` points spread over the faces of a shape, and as many of its corners [m], (n, 3)."""
+    """:data:`POINTS` points distributed over the faces of a shape, and as many of its corners [m], (n, 3)."""
     corners = shape.corners[:: max(1, len(shape.corners) // POINTS)]
     if not len(shape.triangles):
         return corners
@@ -121,11 +122,11 @@ def _surface_points(shape: Hulls) -> Array:
 
 
 def _crossings(triangles: Array, point: Array) -> tuple[NDArray[np.bool_], Array]:
-    """The triangles (k, 3, 3) that the plumb line through ``point`` meets: a mask (k,) and the heights of those [m]."""
+    """Triangles (k, 3, 3) that the plumb line through ``point`` hits: a mask (k,) and the heights of the hits [m]."""
     a, b, c = (triangles[:, k, :2] for k in range(3))
     u, v, w = b - a, c - a, point - a
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    steep = np.abs(area) < 1e-16  # of a triangle that stands upright the line meets the neighbours
+    steep = np.abs(area) < 1e-16  # a line hits the neighbors of a vertical triangle instead
     area = np.where(steep, 1.0, area)
     s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / area
     t = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / area

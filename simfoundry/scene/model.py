@@ -1,8 +1,8 @@
-"""The lowered scene: what every backend reads and no backend decides.
+"""The lowered scene: the input of every backend, which makes no decisions of its own.
 
 Conventions: SI units; right-handed world, z up; quaternions wxyz; ``X_AB`` is the pose of B in A; full extents, never
-half extents; cylinders and capsules along their local z; camera frames are OpenCV's (x right, y down, z forward).
-Every array is float64 and read-only.
+half extents; cylinders and capsules along their local z; camera frames are OpenCV's (x right, y down, z forward). Every
+array is float64 and read-only.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A visual: a geometry posed in its link that cameras see, with a colour ``rgba`` in [0, 1], shape (4,).
+    """A visual: a geometry posed in its link and visible to cameras, with a color ``rgba`` in [0, 1], shape (4,).
 
-    A mesh with a texture shows the texture multiplied by ``rgba``.
+    The texture of a mesh is multiplied by ``rgba``.
     """
 
     name: str
@@ -42,8 +42,8 @@ class Collider:
 
     ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
     (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way. ``torsional_friction`` and
-    ``rolling_friction`` [m] are the greatest torques against spinning and rolling over the normal force; a pair has the
-    larger of its two. ``material`` names the material of the surface, empty where the spec gives none.
+    ``rolling_friction`` [m] are the maximum torques against spinning and rolling, divided by the normal force; a pair
+    uses the larger of its two. ``material`` names the material of the surface; it is empty if the spec gives none.
     """
 
     name: str
@@ -61,8 +61,8 @@ class Link:
     """A rigid body of an object.
 
     ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
-    axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is how far the surface of its colliders is
-    at most from the shapes that they stand for; 0 where they are those shapes.
+    axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is the maximum distance between the surface
+    of its colliders and the shapes that they approximate; 0 if they are exact.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Link:
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:
-        """The principal moments of its inertia and their axes, see :func:`principal_inertia`."""
+        """Principal moments and axes of its inertia, see :func:`principal_inertia`."""
         return principal_inertia(self.inertia)
 
 
@@ -92,14 +92,14 @@ class JointType(StrEnum):
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint follows ``joint`` of the same object: its position is ``multiplier`` times that one's plus ``offset``."""
+    """Coupling to ``joint`` of the same object: the position is ``multiplier`` times that joint's plus ``offset``."""
 
     joint: str
     multiplier: float = 1.0
     offset: float = 0.0
 
     def position(self, leader: float) -> float:
-        """Position of the follower [rad or m] where its leader is at ``leader`` [rad or m]."""
+        """Position of the follower [rad or m] when its leader is at ``leader`` [rad or m]."""
         return self.multiplier * leader + self.offset
 
 
@@ -108,7 +108,7 @@ class Drive:
     """A motor in a joint: ``stiffness * (target - position) - damping * velocity``, at most ``force_limit``.
 
     ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m]; ``force_limit`` [N m or N]
-    is None where there is none.
+    is None if unlimited.
     """
 
     stiffness: float
@@ -118,7 +118,7 @@ class Drive:
 
 
 ClosedEnd = Literal["lower", "upper"]
-"""A limit of a joint."""
+"""Name of one of a joint's limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +126,12 @@ class Joint:
     """A joint between two links of one object.
 
     ``X_PC`` is the pose of the child link's frame in the parent's at position zero; the joint acts at the child's
-    origin along ``axis`` (unit, child frame, shape (3,)). ``limits`` [rad or m] is None where there are none;
-    ``damping`` [N m s/rad or N s/m]; ``friction`` the Coulomb friction torque or force [N m or N]; ``armature``
-    [kg m^2 or kg]; ``position`` [rad or m] the state in the spec of a joint with one axis. The state of a ball or free
-    joint is ``motion``: the pose of the child's frame in where it is at position zero. A free joint holds nothing: its
-    child is a body of its own, posed relative to the parent. ``closed`` is the limit at which it counts as closed; None
-    for zero, or the limit nearest to zero.
+    origin along ``axis`` (unit, child frame, shape (3,)). ``limits`` [rad or m] is None for an unlimited joint;
+    ``damping`` [N m s/rad or N s/m]; ``friction`` is the Coulomb friction torque or force [N m or N]; ``armature`` [kg
+    m^2 or kg]; ``position`` [rad or m] is the initial state of a joint with one axis. The initial state of a ball or
+    free joint is ``motion``: the pose of the child's frame relative to its frame at position zero. A free joint
+    constrains nothing: its child is a separate body, posed relative to the parent. ``closed`` is the limit at which the
+    joint counts as closed; None means zero, or the limit nearest to zero.
     """
 
     name: str
@@ -152,7 +152,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """The closed position [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
+        """Closed position [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -160,20 +160,20 @@ class Joint:
 
     @property
     def has_axis(self) -> bool:
-        """True if one number is its state: it turns about its axis or slides along it."""
+        """True if its state is one number: it rotates about its axis or slides along it."""
         return self.type in (JointType.REVOLUTE, JointType.PRISMATIC, JointType.CONTINUOUS)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A named thing: one link, or a tree of links and joints whose first link is the root.
+    """A named object: one link, or a tree of links and joints whose first link is the root.
 
-    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other
-    has a free root. Links are in topological order: a parent comes before its children. ``no_contact`` are pairs of
-    links that pass through each other, besides those that joints connect.
+    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other has
+    a free root. Links are in topological order: a parent comes before its children. ``no_contact`` are pairs of links
+    without contacts, in addition to those connected by joints.
 
-    ``labels`` are what it is to a vision system; where there are none, its category. ``variant`` is which of its
-    variants it is, empty where it has none; ``variants`` are all the others, whole objects of the same name.
+    ``labels`` are its semantic labels, by default its category. ``variant`` names the selected variant, empty if it has
+    none; ``variants`` are all the others, whole objects of the same name.
     """
 
     name: str
@@ -189,16 +189,16 @@ class SceneObject:
 
     @property
     def semantics(self) -> tuple[str, ...]:
-        """Its labels, or its category where it has none."""
+        """Semantic labels, or the category if there are none."""
         return self.labels or ((self.category,) if self.category else ())
 
     @property
     def root(self) -> Link:
-        """The link whose frame is the object's frame."""
+        """Link whose frame is the object's frame."""
         return self.links[0]
 
     def qualified(self, link_or_joint: str) -> str:
-        """The name in a flat target: the object's own name for its root link, else ``object.link``."""
+        """Name in a flat target: the object's own name for its root link, else ``object.link``."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
 
 
@@ -218,7 +218,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class MountedCamera:
-    """A camera that rides on a link: ``camera.X_WC`` is its pose in that link's frame.
+    """A camera mounted on a link: ``camera.X_WC`` is its pose in that link's frame.
 
     ``carrier`` is a robot or an object; ``link`` one of its frames or links, empty for its base or root.
     """
@@ -251,12 +251,12 @@ class Light:
 
 
 Splat = Gaussians
-"""3D Gaussians that are seen and nothing else."""
+"""Visual-only 3D Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The surroundings of a scene, which nothing touches: visuals posed in a frame ``X_WB``, or a splat."""
+    """Visual surroundings of a scene, without collisions: visuals posed in a frame ``X_WB``, or a splat."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
@@ -265,7 +265,7 @@ class Background:
 
 @dataclass(frozen=True)
 class Relation:
-    """A relation that the spec states, as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
+    """A relation stated by the spec, such as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
 
     predicate: str
     args: tuple[str, ...]
@@ -276,7 +276,7 @@ class Relation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A part of the spec, by its path, that no target gets yet, and why; ``X_WB`` is the base of a robot."""
+    """A part of the spec, by its path, that no target receives, and the reason; ``X_WB`` is the base of a robot."""
 
     path: str
     reason: str
@@ -285,12 +285,12 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
+    """A lowered scene: world poses, inertias, convex parts and materials are all explicit.
 
-    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``no_contact`` are pairs of links
-    of different objects, by qualified name, that pass through each other. ``source`` is the document itself, for
-    targets that can give it back. ``viewer`` is a frame with x away from whom left, right, front and behind are meant
-    by, and y to its left; None for the axes of the world.
+    ``left_out`` lists parts of the spec that could not be lowered; every target reports them as lost. ``no_contact``
+    are pairs of links of different objects, by qualified name, without contacts. ``source`` is the document itself, for
+    targets that embed it. ``viewer`` is the frame that defines left, right, front and behind: x points away from the
+    viewer and y to its left; None for the world axes.
     """
 
     name: str
@@ -309,17 +309,17 @@ class Scene:
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:
-        """The objects by name."""
+        """Objects by name."""
         return {item.name: item for item in self.objects}
 
     def object(self, name: str) -> SceneObject:
-        """The object called ``name``; a KeyError lists the names there are."""
+        """Return the object called ``name``; the KeyError for an unknown name lists the known ones."""
         if name in self.by_name:
             return self.by_name[name]
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
-        """The robot called ``name``; a KeyError lists the names there are."""
+        """Return the robot called ``name``; the KeyError for an unknown name lists the known ones."""
         for item in self.robots:
             if item.name == name:
                 return item
@@ -351,7 +351,7 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
         return frozen_array((xx, yy, zz)), IDENTITY.q
     moments, axes = np.linalg.eigh(inertia)
-    for k in range(3):  # the sign of an eigenvector is arbitrary: its largest entry is made positive
+    for k in range(3):  # the sign of an eigenvector is arbitrary: make its largest entry positive
         if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
             axes[:, k] = -axes[:, k]
     if np.linalg.det(axes) < 0:

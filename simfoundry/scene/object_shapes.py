@@ -1,4 +1,4 @@
-"""The shapes of an object of a scene, posed for the measures of :mod:`simfoundry.geometry`."""
+"""Posed shapes of scene objects for the measures of :mod:`simfoundry.geometry`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def hulls(item: SceneObject) -> Hulls:
-    """The colliders of all links of an object where it stands; of a link without colliders what is seen of it."""
+    """Colliders of all links of an object at its pose; visuals for links without colliders."""
     poses = link_poses(item)
     return hulls_of(
         (piece.geometry, item.X_WO @ poses[link.name] @ piece.X_LG, number)
@@ -34,9 +34,9 @@ def solid(
     links: Iterable[str] | None = None,
     keep: Callable[[Array], bool] = lambda corners: True,
 ) -> HalfSpaces:
-    """The colliders of an object, or of some of its links, in a state; those whose corners [m] are to ``keep``.
+    """Colliders of an object, or of some of its links, in a state; only those whose corners [m] satisfy ``keep``.
 
-    Without a state the object stands where its scene has it.
+    The default state is the initial state of the scene.
     """
     from simfoundry.geometry.crossings import solid_of
 
@@ -55,9 +55,9 @@ def solid(
 
 
 def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
-    """The low and high corner [m] of the box in the world around each link that has a shape.
+    """Low and high corner [m] of the world-axis bounding box of each link with a shape.
 
-    ``part`` chooses the link of that name, or the one that the joint of that name moves.
+    ``part`` selects the link of that name, or the link moved by the joint of that name.
     """
     moved = {joint.name: joint.child for joint in item.joints}
     links = [link for link in item.links if link.name == moved.get(part, part)] or list(item.links)
@@ -70,7 +70,7 @@ def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
 
 
 def bounds(item: SceneObject) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
+    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals if there are none)."""
     poses = link_poses(item)
     spans = [
         _span(part.geometry, poses[link.name] @ part.X_LG)

@@ -1,4 +1,4 @@
-"""Objects of a scene document, lowered one by one: their links, masses, colliders and joints."""
+"""Lower the objects of a scene document one by one: links, masses, colliders and joints."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_names, variant_of
 
 Progress = Callable[[str, int, int], None]
-"""Called with a name, the number of objects that are done, and the number there are."""
+"""Callback that receives a name, the number of finished objects, and their total number."""
 
 
 @dataclass
 class ObjectLowering:
     """Lowers the objects of a document and collects the findings in their meshes.
 
-    Without ``cuts`` no mesh is cut into convex parts: hulls stand for them. A ``draft`` does not even read meshes (see
-    :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` names the objects of which it has bounds only.
+    Without ``cuts`` no mesh is decomposed into convex parts: hulls represent them. A ``draft`` does not even read
+    meshes (see :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` names the objects for which it has only
+    bounds.
     """
 
     loaded: Loaded
@@ -48,13 +49,13 @@ class ObjectLowering:
     approximate: set[str] = field(default_factory=set)
 
     def report(self, said: str) -> None:
-        """Report what is being done, and of how many objects how many are done."""
+        """Report the current step, and the numbers of finished objects and of all objects."""
         if self.progress is not None:
             self.progress(said, self.done, self.count)
 
     @contextmanager
     def _reporting(self, source: Loaded, path: tuple[str, ...]) -> Iterator[None]:
-        """Turn a :class:`MeshError` inside into a finding at a place of a document."""
+        """Turn a :class:`MeshError` raised inside into a finding at a place of a document."""
         try:
             yield
         except MeshError as error:
@@ -63,7 +64,7 @@ class ObjectLowering:
     def _builder(
         self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
-        """A builder of a link of the object ``owner``, which reports what takes long."""
+        """Return a builder for a link of the object ``owner``, which reports slow steps."""
 
         def report(said: str) -> None:
             self.report(f"{owner}: {said}")
@@ -73,7 +74,7 @@ class ObjectLowering:
         return BodyBuilder(name, body, materials, self.cache, weighed, self.draft, report=report)
 
     def lower(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
-        """The object as the chosen one of its variants, with the others beside it."""
+        """Return the selected variant of the object, with the other variants attached."""
         if not item.variants:
             return self._one(name, item, spec, ("objects", name))
         every = {}
@@ -102,7 +103,7 @@ class ObjectLowering:
         return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
 
     def _rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...], owner: str) -> list[Link]:
-        """The one link of a primitive or of a mesh."""
+        """Return the single link of a primitive or a mesh."""
         before = len(self.findings)
         builder = self._builder(owner, "base", item, spec.materials, False)
         with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
@@ -119,7 +120,7 @@ class ObjectLowering:
     def articulated(
         self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
     ) -> tuple[list[Link], tuple[Joint, ...]]:
-        """The links of an asset document in topological order, and its joints at the positions the object asks for."""
+        """Links of an asset document in topological order, and its joints at the positions that the object sets."""
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -138,7 +139,7 @@ class ObjectLowering:
         self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,
         before: int, owner: str,
     ) -> list[Link]:  # fmt: skip
-        """The finished link, alone in a list; empty where there are more findings than ``before`` it."""
+        """Return the finished link in a list; empty if there are more findings than ``before``."""
         if builder.is_approximate:
             self.approximate.add(owner)
         if len(self.findings) > before:
@@ -158,7 +159,7 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
-    """The joints of an asset at the positions ``given``, by name; one that follows another is where that leads it."""
+    """Joints of an asset at the ``given`` positions, by name; mimic joints follow their leaders."""
     return tuple(
         _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
     )

@@ -1,7 +1,7 @@
-"""Where a thing is that a spec puts on, inside or beside others: its words solved into a pose.
+"""Solve placements of objects on, inside or beside others into poses.
 
-A thing keeps its written rotation, goes to its place in the plane and comes down along z until it touches what carries
-it; :data:`CLEARANCE` is left between the two. Only the carrier stops it: where it meets a third thing, it is not moved.
+An object keeps its given rotation, moves to its place in the plane and is lowered along z until it touches its support;
+:data:`CLEARANCE` is left between the two. Only the support stops it: a collision with a third object does not move it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.models.place import Place
 
 CLEARANCE = 1e-4
-"""How far above what carries it a thing is put [m], so that nothing interpenetrates."""
+"""Height of a placed object above its support [m], so that they do not interpenetrate."""
 
 DIGITS = 6
-"""Decimals [m] of a solved position, so that rounding errors of a machine do not show."""
+"""Decimals [m] of a solved position, so that platform-dependent rounding errors do not show."""
 
 LEFT_RIGHT, FRONT_BEHIND = 1, 0
 RELATIONS = {
@@ -35,11 +35,11 @@ RELATIONS = {
     "behind": (FRONT_BEHIND, 1),
     "in_front_of": (FRONT_BEHIND, -1),
 }
-"""The axis of the viewer's frame (0 away, 1 left) that a word fixes, and the side of the anchor on it."""
+"""The axis of the viewer's frame (0 away, 1 left) that each keyword fixes, and the side of the anchor on it."""
 
 
 class PlaceError(Exception):
-    """A place that cannot be taken: what is wrong, with the numbers, and what to do."""
+    """An infeasible placement; the message states the problem with its numbers, and a remedy."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -47,9 +47,9 @@ class PlaceError(Exception):
 
 
 def order(places: Mapping[str, Place]) -> list[str]:
-    """The names of ``places`` in an order in which each comes after its carrier and its anchors.
+    """Names of ``places`` in an order in which each object comes after its support and its anchors.
 
-    What waits for itself, in a ring, comes last and as written.
+    Objects in a dependency cycle come last, in their written order.
     """
     waits = {name: {n for n in needs(place) if n in places} for name, place in places.items()}
     out: list[str] = []
@@ -71,7 +71,7 @@ def order(places: Mapping[str, Place]) -> list[str]:
 
 
 def needs(place: Place) -> list[str]:
-    """The objects that must be placed before: the carrier and the anchors."""
+    """Objects that must be placed before: the support and the anchors."""
     named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
     return [name.partition(".")[0] for name in named if name is not None]
 
@@ -79,9 +79,9 @@ def needs(place: Place) -> list[str]:
 def place_all(
     objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None
 ) -> tuple[dict[str, SceneObject], dict[str, PlaceError]]:
-    """All objects, those with a place at their solved poses, and why some could not be placed.
+    """Return all objects, those with a placement at their solved poses, and the errors of those that failed.
 
-    What stands on or beside such a one is not placed either, and not reported.
+    Objects that depend on a failed one are not placed either, and not reported.
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     errors: dict[str, PlaceError] = {}
@@ -97,9 +97,10 @@ def place_all(
 
 @np.errstate(over="ignore", invalid="ignore")
 def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None) -> Pose:
-    """The pose ``X_WO`` of a thing at its place among the things already placed; raises :class:`PlaceError`.
+    """Pose ``X_WO`` of an object at its place among the objects already placed; raises :class:`PlaceError`.
 
-    ``viewer`` is a frame with x away from whom left, right, front and behind are seen by; without one it is the world.
+    ``viewer`` is the frame that defines left, right, front and behind, with x away from the viewer; by default the
+    world.
     """
     held, carrier, xy = approach(item, place, placed, viewer)
     lift = _lift(held, carrier, walled=place.inside is not None)
@@ -107,32 +108,32 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
         raise unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
     at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
     if not np.isfinite(at).all():
-        raise PlaceError(f"`{item.name}` would be beyond all numbers", "check the sizes and positions around it")
+        raise PlaceError(f"the position of `{item.name}` is not finite", "check the sizes and positions around it")
     return Pose.of(at, _rotation(place))
 
 
 def approach(
     item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> tuple[Hulls, _Carrier, Array]:
-    """The parts of a thing over its place, turned as it is written, what carries it, and the place in the plane [m]."""
+    """Return the parts of an object above its place, rotated as given, its support, and the place in the plane [m]."""
     carrier = _Carrier.of(_carrier_name(place) or "", placed)
     upright = Pose.of(q=_rotation(place))
     shape = hulls(replace(item, X_WO=upright))
     if not len(shape.corners):
-        raise PlaceError(f"`{item.name}` has no shape that could be placed")
+        raise PlaceError(f"`{item.name}` has no shape to place")
     xy = _position(place, shape, upright, carrier, placed, viewer)
     return shape.moved(np.array([*xy, 0.0])), carrier, xy
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
-    """The frame, x away and y left, of who looks through a camera; away is up in the picture of one that looks down."""
+    """Frame, x away and y left, of a viewer who looks through a camera; x is image up for a camera that looks down."""
     forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
     x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
 
 
 _standing = lru_cache(maxsize=16)(hulls)
-"""The parts of what stands already: many things stand on one desk."""
+"""Cache of the parts of placed objects, because many objects stand on one surface."""
 
 
 def _carrier_name(place: Place) -> str | None:
@@ -146,7 +147,7 @@ def _rotation(place: Place) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Carrier:
-    """The carrier of a place: the ``whole`` object, the ``part`` of it that is named, and that part's frame."""
+    """The support of a placement: the ``whole`` object, its named ``part``, and that part's frame."""
 
     name: str
     whole: Hulls
@@ -158,7 +159,7 @@ class _Carrier:
     def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
         owner, _, link = name.partition(".")
         if owner not in placed:
-            raise PlaceError(f"`{owner}` has no place itself", "put it somewhere that does not depend on this")
+            raise PlaceError(f"`{owner}` has no place itself", "place it without depending on this object")
         item = placed[owner]
         whole = _standing(item)
         part, number, X_WC = whole, None, item.X_WO
@@ -169,7 +170,7 @@ class _Carrier:
             number = names.index(link)
             part, X_WC = whole.of_link(number), item.X_WO @ link_poses(item)[link]
         if not len(part.corners):
-            raise PlaceError(f"`{name}` touches nothing, so it carries nothing", "give it a `collision`")
+            raise PlaceError(f"`{name}` has no colliders, so it supports nothing", "give it a `collision`")
         return cls(name, whole, part, number, X_WC)
 
 
@@ -181,7 +182,7 @@ def _position(
     placed: Mapping[str, SceneObject],
     viewer: Pose | None,
 ) -> Array:
-    """The position of the object's frame in the plane [m], shape (2,); ``shape`` has it at the origin."""
+    """Position of the object's frame in the plane [m], shape (2,); ``shape`` has its frame at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
@@ -207,19 +208,19 @@ def _position(
 
 
 def _axes(viewer: Pose | None) -> tuple[Array, Array]:
-    """Level unit vectors away from the viewer and to its left, shape (3,)."""
+    """Horizontal unit vectors away from the viewer and to its left, shape (3,)."""
     x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
     length = math.hypot(x, y)
     if length < 1e-6:
-        raise PlaceError("the viewpoint faces straight up or down, so nothing is left of or behind anything")
+        raise PlaceError("the viewpoint looks straight up or down, so `left_of` and `behind` are undefined")
     return np.array([x, y, 0.0]) / length, np.array([-y, x, 0.0]) / length
 
 
 def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
-    """The height by which an object must be lifted to touch its carrier from above [m]; None if it cannot lie there.
+    """Height by which an object must be lifted to touch its support from above [m]; None if it cannot rest there.
 
-    Of a carrier that covers itself, as a cabinet does its drawer, the highest free space counts in which the thing lies
-    on the part that is named and, if it must be ``walled``, has walls around it.
+    For a support with a part above another, such as a cabinet over its drawer, the result is the highest free space in
+    which the object rests on the named part and, if it must be ``walled``, has walls around it.
     """
     touching = heights(held, carrier.whole)
     if carrier.link is None and not walled:
@@ -239,9 +240,9 @@ def overlap(thing: Hulls, carrier: Hulls) -> bool:
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
-    """The heights at which an object can lie, highest first, each with the part of the carrier below it.
+    """Heights at which an object can rest, highest first, each with the part of the support below it.
 
-    Part i of the thing meets part j of the carrier when it is lifted by ``low[i, j]`` to ``high[i, j]``.
+    Part i of the object collides with part j of the support when it is lifted by ``low[i, j]`` to ``high[i, j]``.
     """
     met = np.isfinite(high)
     order = np.argsort(-high[met], kind="stable")
@@ -254,7 +255,7 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
 
 
 def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
-    """The error for an object that misses its carrier or does not fit."""
+    """Return the error for an object that misses its support or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
         spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
         spot = ", ".join(map(_metres, xy))
@@ -269,11 +270,11 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
 
 
 def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
-    """The error of a thing for which there is no room on or inside of its carrier."""
+    """Return the error for an object without enough space on or inside its support."""
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"
-    return PlaceError(message, "open what closes it, turn the thing, make it smaller or move it")
+    return PlaceError(message, "open the container, turn the object, make it smaller or move it")
 
 
 def _metres(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Poses from the words of a spec and back into them, and settled poses into a spec."""
+"""Convert poses of a spec to rigid transforms and back, and write settled poses into a spec."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.scene import SceneSpec
 
 UPRIGHT_DEG = 0.05
-"""A body tilted less than this is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
+"""Tilt below which a body is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
 
 STILL = 1e-4
-"""A joint that moved less than this [rad or m] stays as it is written."""
+"""Motion below which a joint keeps its written position [rad or m]."""
 
 
 def pose(spec: PoseSpec) -> Pose:
-    """The pose that a document writes."""
+    """Return the pose that a document describes."""
     if spec.quat_wxyz is not None:
         return Pose.of(spec.xyz, spec.quat_wxyz)
     if spec.rpy_deg is None and spec.yaw_deg is None:
@@ -31,7 +31,7 @@ def pose(spec: PoseSpec) -> Pose:
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
-    """A pose as a person writes it: position to 0.1 mm, yaw alone where upright, roll, pitch and yaw where not."""
+    """Return a pose in readable form: position to 0.1 mm, only yaw if upright, else roll, pitch and yaw."""
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
@@ -41,7 +41,7 @@ def pose_spec(X_WO: Pose) -> PoseSpec:
 
 
 def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
-    """The spec of ``scene`` with the poses of what is not fixed, and the joints that moved, as ``state`` has them."""
+    """Return the spec of ``scene`` with poses and joint positions from ``state`` for free objects and moved joints."""
     moved = with_poses(spec, state.poses)
     objects = dict(moved.objects)
     for item in scene.objects:
@@ -49,12 +49,12 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
         for joint in item.joints:
             motion = state.motions.get(f"{item.name}.{joint.name}", joint.motion)
             if joint.mimic is not None:
-                continue  # it is where the other leads it
+                continue  # its leader determines its position
             if float(np.linalg.norm(motion.p - joint.motion.p)) > STILL or motion.angle_to(joint.motion) > STILL:
                 joints[joint.name] = _rotation(motion) if joint.type is JointType.BALL else pose_spec(motion)
             position = state.joints.get(f"{item.name}.{joint.name}", joint.position)
             if abs(position - joint.position) > STILL:
-                low, high = joint.limits or (-math.inf, math.inf)  # engines hold limits softly
+                low, high = joint.limits or (-math.inf, math.inf)  # engines enforce limits softly
                 joints[joint.name] = min(max(round(position, 4) + 0.0, low), high)
         if joints != objects[item.name].joints:
             objects[item.name] = objects[item.name].model_copy(update={"joints": joints})
@@ -62,13 +62,13 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
 
 
 def _rotation(motion: Pose) -> PoseSpec:
-    """The rotation of a ball joint as a person writes it."""
+    """Return the rotation of a ball joint in readable form."""
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(motion.q))
     return PoseSpec(rpy_deg=(roll, pitch, yaw))
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
-    """The spec with other poses, in place of the written poses and places, for the objects that are not fixed."""
+    """Return the spec with new poses for the objects that are not fixed, replacing their poses and placements."""
     objects = dict(spec.objects)
     for name, item in spec.objects.items():
         if name in poses and not item.fixed:

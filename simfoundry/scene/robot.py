@@ -1,4 +1,4 @@
-"""Robots of the lowered scene: which native models there are, and how a scene's words map onto their names."""
+"""Robots of the lowered scene: available native models, and the mapping of scene names to model names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ModelFormat(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinkFrame:
-    """A frame that a scene can name: ``X_LF`` in a ``link`` of the model."""
+    """A frame that a scene can refer to: ``X_LF`` in a ``link`` of the model."""
 
     link: str
     X_LF: Pose = IDENTITY
@@ -28,7 +28,7 @@ class LinkFrame:
 
 @dataclass(frozen=True)
 class Follow:
-    """A joint's position is ``multiplier`` times that of ``joint`` plus ``offset`` [rad or m]."""
+    """A mimic joint: its position is ``multiplier`` times that of ``joint`` plus ``offset`` [rad or m]."""
 
     joint: str
     multiplier: float = 1.0
@@ -37,11 +37,11 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """The joints of a gripper; every pair is (open, closed).
+    """Joints of a gripper; every pair is (open, closed).
 
-    ``command`` are values of the model's actuators, empty where the joints are driven themselves; ``joints`` positions
-    [rad or m], of which the first tells how far it is closed; ``follow`` says what closed loops and equations of the
-    model do, for engines that have none.
+    ``command`` are values of the model's actuators, empty if the joints are driven directly; ``joints`` are positions
+    [rad or m], the first of which indicates how far the gripper is closed; ``follow`` replaces closed loops and
+    equality constraints of the model in engines without them.
     """
 
     command: Mapping[str, tuple[float, float]]
@@ -49,14 +49,14 @@ class Gripper:
     follow: Mapping[str, Follow]
 
     def closed(self, position: float) -> float:
-        """The share by which it is closed, 0 to 1, if its first joint is at ``position`` [rad or m]."""
+        """Closed fraction, 0 to 1, for its first joint at ``position`` [rad or m]."""
         opened, closed = next(iter(self.joints.values()))
         return min(max((position - opened) / (closed - opened), 0.0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A model that a link of another carries: its names get ``name.`` before them; ``X_LB`` poses its base there."""
+    """A model mounted on a link of another: its names are prefixed with ``name.``; ``X_LB`` poses its base there."""
 
     name: str
     file: Path
@@ -66,11 +66,11 @@ class Attached:
 
 @dataclass(frozen=True, eq=False)
 class NativeModel:
-    """A robot's model in one format.
+    """Robot model in one format.
 
-    ``digest`` names the content of all its files, which lie where they were found on this machine. ``joints`` maps the
-    scene's names of the arm's joints onto the model's; a name that is not there is the model's own. ``effort`` is the
-    greatest force [N m or N] of joints for which the file does not tell the robot's.
+    ``digest`` identifies the content of all its files, which remain where they were found on this machine. ``joints``
+    maps the scene's names of the arm's joints to the model's; other names are the model's own. ``effort`` is the
+    maximum force [N m or N] of joints for which the file does not state the robot's.
     """
 
     format: ModelFormat
@@ -83,20 +83,20 @@ class NativeModel:
     effort: Mapping[str, float]
 
     def frame(self, name: str) -> LinkFrame:
-        """The frame that a scene calls ``name``: a known one, or a link of the model."""
+        """Return the frame that a scene calls ``name``: a known one, or a link of the model."""
         return self.links.get(name) or LinkFrame(name)
 
 
 FILES_ONLY = "robot"
-"""The kind of a robot that a document knows by its files alone."""
+"""Kind of a robot that a document defines by its files alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A robot whose base is welded to the world at ``X_WB``.
 
-    ``positions`` [rad or m] of its arm by the scene's names of the joints; its gripper is open. ``reach`` [m] along the
-    ground and ``opening`` [m] are None where nothing is known. ``models`` has one at least.
+    ``positions`` [rad or m] are those of its arm, by the scene's joint names; its gripper is open. ``reach`` [m] along
+    the ground and ``opening`` [m] are None if unknown. ``models`` has at least one entry.
     """
 
     name: str
@@ -108,16 +108,16 @@ class Robot:
     models: Mapping[ModelFormat, NativeModel]
 
     def best(self, *formats: ModelFormat) -> NativeModel | None:
-        """The model in the first of the formats that there is one in."""
+        """Return the model in the first available format."""
         return next((self.models[f] for f in formats if f in self.models), None)
 
     def start(self, model: NativeModel) -> dict[str, float]:
-        """Positions of the model's joints at the start: the arm's as the scene has them, the gripper's open."""
+        """Initial positions of the model's joints: the arm's from the scene, the gripper's open."""
         arm = {model.joints.get(name, name): position for name, position in self.positions.items()}
         opened = {n: pair[0] for n, pair in model.gripper.joints.items()} if model.gripper is not None else {}
         return opened | arm
 
 
 def mujoco_model(robot: Robot) -> NativeModel | None:
-    """The model of a robot that MuJoCo reads best, if there is one."""
+    """Return the robot model that MuJoCo reads best, if there is one."""
     return robot.best(ModelFormat.MJCF, ModelFormat.URDF)

@@ -1,4 +1,4 @@
-"""Where the files of a robot's model are, and which other files they name."""
+"""Locate the files of a robot model and the files that they reference."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _IMAGES = re.compile(r"<init_from>\s*([^<]+?)\s*</init_from>")
 
 
 def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) -> Path:
-    """The file that ``reference`` means in ``document``: a path, ``pkg:package/path``, ``menagerie:robot/path`` or
-    ``robot_descriptions:name``.
+    """Return the file that ``reference`` in ``document`` names.
 
-    ``suffix`` (``.xml``, ``.urdf``) says which of a description's files is meant. The last two come from packages that
-    fetch a robot when it is first used; without ``fetch`` nothing is. Raises :class:`NoModelError`.
+    A reference is a path, ``pkg:package/path``, ``menagerie:robot/path`` or ``robot_descriptions:name``. ``suffix``
+    (``.xml``, ``.urdf``) selects one of a description's files. The last two kinds come from packages that download a
+    robot on first use; without ``fetch`` nothing is downloaded. Raises :class:`NoModelError`.
     """
     packaged = packaged_model(reference)
     if packaged is not None:
@@ -39,7 +39,7 @@ def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) 
 
 
 def digest(files: list[Path]) -> str:
-    """Sixteen hex digits that name the content of files, in the order given."""
+    """Sixteen hex digits that identify the content of files, in the given order."""
     total = hashlib.sha256()
     for file in files:
         total.update(hashlib.sha256(file.read_bytes()).digest())
@@ -47,14 +47,14 @@ def digest(files: list[Path]) -> str:
 
 
 def model_files(file: Path) -> list[Path]:
-    """A model's file and every file that it needs, each once, in the order in which they are named.
+    """Return a model's file and every file that it needs, each once, in the order of their references.
 
-    Raises :class:`NoModelError` where one is missing or the model cannot be read.
+    Raises :class:`NoModelError` if one is missing or the model cannot be read.
     """
     files = list(dict.fromkeys(_needed(file)))
     for needed in files:
         if not needed.is_file():
-            raise NoModelError(f"{file.name} needs {needed.name}, and {needed} is not there")
+            raise NoModelError(f"{file.name} needs {needed.name}, but {needed} does not exist")
     return files
 
 
@@ -68,7 +68,7 @@ def _needed(file: Path) -> Iterator[Path]:
                 yield from companions(mesh)
         case ".xml" | ".mjcf":
             yield from _mjcf_files(file)
-        case _:  # a layer of USD: its folder, which is moved as a whole
+        case _:  # a USD layer: its folder, which is moved as a whole
             yield from sorted(p for p in file.parent.rglob("*") if p.is_file() and p != file)
 
 
@@ -94,12 +94,12 @@ def _mjcf_files(file: Path) -> Iterator[Path]:
 
 
 def urdf_meshes(text: str) -> list[str]:
-    """The file names in a URDF, each once: of meshes and of textures."""
+    """File names in a URDF, each once: meshes and textures."""
     return list(dict.fromkeys(re.findall(r"""\bfilename\s*=\s*["']([^"']+)["']""", text)))
 
 
 def urdf_mesh(urdf: Path, name: str) -> Path:
-    """The file that ``name`` means in a URDF: relative to it, or `package://` below a folder above it."""
+    """Return the file that ``name`` refers to in a URDF: relative to it, or `package://` below a parent folder."""
     if name.startswith("file://"):
         return Path(name.removeprefix("file://")).resolve()
     if not name.startswith("package://"):
@@ -114,7 +114,7 @@ def urdf_mesh(urdf: Path, name: str) -> Path:
 
 
 def companions(mesh: Path) -> Iterator[Path]:
-    """The materials and textures that a mesh file names."""
+    """Return the materials and textures that a mesh file references."""
     if not mesh.is_file() or mesh.suffix.lower() not in (".obj", ".dae"):
         return
     text = mesh.read_text(encoding="utf-8", errors="replace")

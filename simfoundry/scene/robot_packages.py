@@ -1,4 +1,4 @@
-"""Robots' models that packages fetch when they are first used: those of mujoco-menagerie and of robot_descriptions."""
+"""Robot models that packages download on first use: mujoco-menagerie and robot_descriptions."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _DESCRIPTIONS = "robot_descriptions"
 
 
 class NoModelError(Exception):
-    """A model that is not there; the message is a clause that says what is missing and what to do about it.
+    """A missing model; the message is a clause that states what is missing and the remedy.
 
-    ``is_known`` is False where the package that may have it is not installed, so that another's answer says more.
+    ``is_known`` is False if the package that may provide it is not installed; another source's error is then more
+    informative.
     """
 
     def __init__(self, message: str, is_known: bool = True) -> None:
@@ -32,9 +33,10 @@ class NoModelError(Exception):
 
 
 def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
-    """The file ``path`` of the robot ``name`` in MuJoCo Menagerie, by default its model; raises :class:`NoModelError`.
+    """Return the file ``path`` of the robot ``name`` in MuJoCo Menagerie, by default its model.
 
-    With ``fetch`` the official package downloads a robot that is not in its cache (megabytes); without, it is missing.
+    With ``fetch`` the official package downloads robots (megabytes) that are not in its cache; without it, they are
+    missing. Raises :class:`NoModelError`.
     """
     if not is_installed("mujoco_menagerie"):
         raise NoModelError(f"install its models with `{install_line('robots')}`", is_known=False)
@@ -45,7 +47,7 @@ def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
         cache = mujoco_menagerie.Cache()
         if cache.root is None and not cache.is_cached(robot) and not fetch:
             raise NoModelError(
-                f"it is not fetched yet; `python -m mujoco_menagerie prefetch {name}` does so, as does its first use"
+                f"it is not downloaded yet; run `python -m mujoco_menagerie prefetch {name}`, or use it once online"
             )
         folder = _fetch(name, str(cache.dir), str(cache.root or ""))
         if isinstance(folder, Exception):
@@ -59,7 +61,7 @@ def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
 
 @lru_cache(maxsize=64)
 def _fetch(name: str, cache: str, root: str) -> Path | Exception:
-    """The folder of a robot; what failed once is not tried again by this process, as each try takes seconds."""
+    """Return the folder of a robot; a failed download is not retried in this process, as each try takes seconds."""
     import mujoco_menagerie
 
     try:
@@ -69,9 +71,9 @@ def _fetch(name: str, cache: str, root: str) -> Path | Exception:
 
 
 def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
-    """The file of a description in the package robot_descriptions; ``suffix`` says which where ``path`` is None.
+    """Return the file of a description in the package robot_descriptions; ``suffix`` selects one if ``path`` is None.
 
-    The package clones the description's repository when it is first used; without ``fetch`` one that is not there is
+    The package clones the description's repository on first use; without ``fetch``, a description that is not cloned is
     missing. Raises :class:`NoModelError`.
     """
     if not is_installed(_DESCRIPTIONS):
@@ -88,7 +90,7 @@ def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Pa
         raise NoModelError(f"`{_DESCRIPTIONS}` has no `{name}`; update it") from None
     except NoModelError:
         raise
-    except Exception as error:  # whatever git says of a network that is not there
+    except Exception as error:  # git's errors without a network vary
         raise NoModelError(f"`{_DESCRIPTIONS}` could not fetch `{name}`: {_line(error)}") from None
     if path is not None:
         return _inside(Path(module.PACKAGE_PATH), path, f"{_DESCRIPTIONS}:{name}")
@@ -98,9 +100,10 @@ def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Pa
 
 
 def _need_cloned(name: str) -> None:
-    """Raise :class:`NoModelError` unless the repository of a description was cloned before.
+    """Raise :class:`NoModelError` unless the repository of a description has been cloned.
 
-    The package tells only by cloning it: the module's text names the repository, and its table where that lies.
+    The package itself cannot answer this without cloning. The module's text names the repository, and the package's
+    table gives its folder.
     """
     import sys
 
@@ -113,12 +116,12 @@ def _need_cloned(name: str) -> None:
     table = importlib.import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES
     folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
     if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
-        raise NoModelError(f"it is not fetched yet; `{_DESCRIPTIONS} pull {name}` does so, as does its first use")
+        raise NoModelError(f"it is not downloaded yet; run `{_DESCRIPTIONS} pull {name}`, or use it once online")
 
 
 @contextmanager
 def _offline() -> Iterator[None]:
-    """Let git reach no network, and say nothing, while a description that lies here is imported."""
+    """Keep git off the network, and silent, while a description that is already cloned is imported."""
     before = os.environ.get("GIT_ALLOW_PROTOCOL")
     os.environ["GIT_ALLOW_PROTOCOL"] = "none"
     try:

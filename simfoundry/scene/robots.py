@@ -1,4 +1,4 @@
-"""RobotSpec to Robot: its models found, its words mapped onto their names."""
+"""Lower a RobotSpec to a Robot: find its models and map the scene's names to theirs."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from simfoundry.spec.models.robot_file import (
 
 _ROBOTS: WeakValueDictionary[tuple[object, ...], Robot] = WeakValueDictionary()
 _MODELS: WeakValueDictionary[tuple[object, ...], NativeModel] = WeakValueDictionary()
-"""What is alive of each content: the scenes of a batch share a robot, and what backends have read of it."""
+"""Live robots by content: the scenes of a batch share a robot, and the data that backends have read of it."""
 
 _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
 
 
 def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) -> Robot:
-    """The robot ``name`` of a scene document. Raises :class:`NoModelError` where no model of it is found.
+    """Return the robot ``name`` of a scene document; raises :class:`NoModelError` if no model of it is found.
 
-    Packages that fetch robots when they are first used do so with ``fetch`` only.
+    Packages that download robots on first use do so only with ``fetch``.
     """
     if isinstance(spec.model, str):
         own_folder(must_exist=True)
@@ -67,7 +67,7 @@ def _as_models(spec: RobotSpec) -> dict[str, ModelSpec]:
 
 
 def _models(spec: RobotFileSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
-    """The models that are there, and why the first that is not there is not."""
+    """Return the available models, and the reason why the first missing one is missing."""
     found, missing = {}, ""
     for key in ModelFormat:
         model: ModelSpec | None = getattr(spec, key.value)
@@ -102,7 +102,7 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path, fetch: bool) -> Na
 
 
 def _first(references: list[str], document: Path, suffix: str, fetch: bool) -> Path:
-    """The first of the files that is there; else the reason of the best one whose package is here says most."""
+    """Return the first file found; otherwise raise the error of the best file whose package is installed."""
     reasons = []
     for reference in references:
         try:

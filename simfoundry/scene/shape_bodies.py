@@ -1,4 +1,4 @@
-"""Shapes of the language as bodies: what is seen, what weighs and what collides."""
+"""Shapes of the language as bodies: visuals, solids and colliders."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from simfoundry.spec.models.base import (
 ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
 CUT_VERSION = "cut shape 1"
-"""Changes with how a lathe or prism is cut into convex parts."""
+"""Version of the convex decomposition of lathes and prisms; part of the cache key."""
 
 
 class ShapeBody(NamedTuple):
     """A shape in its own frame: the ``visual``, the ``solid`` of density 1, and the ``colliders``.
 
-    ``error`` [m] is the greatest distance of the colliders from the shape.
+    ``error`` [m] is the maximum distance between the colliders and the shape.
     """
 
     visual: Geometry
@@ -43,9 +43,10 @@ class ShapeBody(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
-    """Return the body of a shape; raises :class:`MeshError` for a profile or outline without an inside.
+    """Return the body of a shape; raises :class:`MeshError` for a profile or outline that encloses no area.
 
-    To cut a lathe or prism takes up to 40 ms and two large libraries: ``cache`` keeps the parts between runs.
+    The decomposition of a lathe or prism takes up to 40 ms and loads two large libraries; ``cache`` keeps the parts
+    between runs.
     """
     geometry: Geometry
     match shape:
@@ -72,7 +73,7 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
 
 
 _Cut = tuple[Array, tuple[Geometry, ...], float]
-"""A checked outline or profile, the convex parts of its solid, and their greatest distance from it [m]."""
+"""A checked outline or profile, the convex parts of its solid, and their maximum distance from it [m]."""
 
 
 def _cut(shape: PrismShape | LatheShape, cache: Cache | None) -> _Cut:
@@ -107,12 +108,12 @@ def _pack(outline: Array, parts: list[tuple[Array, Faces]], error: float) -> byt
 
 
 def _unpack(data: bytes) -> _Cut | None:
-    """Read a cache entry; None if it is damaged, so that it is computed again."""
+    """Read a cache entry; return None if it is damaged, so that it is computed again."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             ends = np.cumsum(arrays["counts"], axis=0)[:-1]
             corners, faces = (np.split(arrays[name], ends[:, k]) for k, name in enumerate(("corners", "faces")))
             parts: tuple[Mesh, ...] = tuple(map(closed_mesh, corners, faces))
             return arrays["outline"], parts, float(arrays["error"])
-    except Exception:  # whatever a damaged archive raises: OSError, KeyError, ValueError, zipfile's and zlib's own
+    except Exception:  # a damaged archive raises OSError, KeyError, ValueError, or errors of zipfile and zlib
         return None

@@ -1,4 +1,4 @@
-"""What a scene was lowered from, carried along unread, so that a target can give it back."""
+"""Source document of a scene, stored unread so that a target can embed it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Source:
-    """The document behind a scene: opaque to backends, which may store it and decide nothing by it.
+    """The document from which a scene was lowered.
 
-    ``kind`` is that of the document (``scene/1``), ``file`` its path in its project, with ``/``. ``data`` is its plain
-    data in canonical order with all that it extends: mappings, tuples, texts, numbers.
+    It is opaque to backends, which may store it but must not base decisions on it. ``kind`` is that of the document
+    (``scene/1``), ``file`` is its path in its project, with ``/``. ``data`` is its plain data in canonical order,
+    including everything that it extends: mappings, tuples, texts, numbers.
     """
 
     kind: str
@@ -29,5 +30,5 @@ class Source:
 
     @property
     def digest(self) -> str:
-        """The SHA-256 of the data, in hex: equal documents have equal digests."""
+        """SHA-256 of the data, in hex: equal documents have equal digests."""
         return hashlib.sha256(json.dumps(dict(self.data), ensure_ascii=False).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""What changes in time: poses of objects and positions of joints."""
+"""Time-varying state of a scene: poses of objects and positions of joints."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """Poses ``X_WO`` of the objects by name, and where their joints are by ``object.joint``.
+    """Poses ``X_WO`` of the objects by name, and joint states by ``object.joint``.
 
-    ``joints`` are the positions [rad or m] of those with one axis; ``motions`` the poses of the child's frame of those
-    without, ball and free joints, in where it is at position zero. A ball joint's motion has no translation.
+    ``joints`` are the positions [rad or m] of joints with one axis; ``motions`` are the motions of ball and free
+    joints: the pose of the child's frame relative to its frame at position zero. A ball joint's motion has no
+    translation.
 
-    ``robots`` are where the joints of each robot are [rad or m], by the names of the joints of the object that
-    :mod:`simfoundry.backends.robot_models.robot_object` makes of it; empty where they are as the scene describes them.
-    ``speeds`` [m/s] are those of the fastest point of each object; of what is not here it is 0.
+    ``robots`` are the joint positions of each robot [rad or m], by the joint names of the object that
+    :mod:`simfoundry.backends.robot_models.robot_object` makes of it; empty for the positions in the scene. ``speeds``
+    [m/s] are those of the fastest point of each object; objects without an entry are at rest.
     """
 
     poses: Mapping[str, Pose]
@@ -48,7 +49,7 @@ class SceneState:
 
     @classmethod
     def initial(cls, scene: Scene) -> SceneState:
-        """The state that the scene itself describes."""
+        """Return the initial state of the scene."""
         joints = {f"{o.name}.{j.name}": j for o in scene.objects for j in o.joints}
         return cls.of(
             {o.name: o.X_WO for o in scene.objects},
@@ -57,7 +58,7 @@ class SceneState:
         )
 
     def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
-        """Positions and motions of the joints of one object, by their own names; of what is not here, the scene's."""
+        """Positions and motions of the joints of one object, by their own names; defaults come from the scene."""
         found: dict[str, float | Pose] = {}
         for joint in item.joints:
             name = f"{item.name}.{joint.name}"
@@ -73,14 +74,14 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return an object with its pose and joints as in a state, and without its other variants."""
+    """Return an object at its pose and joint positions in a state, without its other variants."""
     at = state.of_object(item)
     joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
     return replace(item, X_WO=state.poses[item.name], joints=joints, variants=())
 
 
 def _moved(joint: Joint, to: float | Pose | None) -> Joint:
-    """Return a joint with another position or motion; None leaves it as it is."""
+    """Return a joint with a new position or motion; None keeps it."""
     if to is None:
         return joint
     return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)

@@ -1,4 +1,4 @@
-"""A scene in a few lines: what a person wants to know before opening it."""
+"""Summary of a scene in a few lines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
-    """Plain facts: of each object its size [m], mass [kg] and doubt, position [m], joints, and what carries it."""
+    """Return plain facts by object: size [m], mass [kg] and its uncertainty, position [m], joints, and support."""
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     carried_by = {name: (place.on or place.inside or "").partition(".")[0] for name, place in places.items()}
     carried_by |= {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
@@ -29,7 +29,7 @@ def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
 
 
 def tree(facts: dict[str, Any]) -> str:
-    """The facts of :func:`summary` as an indented tree: what stands on a thing hangs below it."""
+    """Format the facts of :func:`summary` as an indented tree: objects are indented below their supports."""
     objects: dict[str, Any] = facts["objects"]
     children: dict[str | None, list[str]] = {}
     for name, item in objects.items():
@@ -64,7 +64,7 @@ def tree(facts: dict[str, Any]) -> str:
 
 
 def _roots(objects: dict[str, Any], children: dict[str | None, list[str]]) -> list[str]:
-    """The objects that stand on nothing, and the first of each ring of `OnTop`, which has no root."""
+    """Objects that stand on nothing, and the first of each cycle of `OnTop`, which has no root."""
     roots, below = list(children.get(None, [])), set[str]()
 
     def add(name: str) -> None:
@@ -124,12 +124,12 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
 
 
 def _shape(geometry: Geometry) -> str:
-    """The kind of a collider in a word."""
+    """Return the kind of a collider as a word."""
     return "convex part" if isinstance(geometry, Mesh) else type(geometry).__name__.lower()
 
 
 def _kind(written: ObjectSpec, item: SceneObject) -> str:
-    """The name of a shape in the spec, or the number of links of an asset."""
+    """Return the name of a shape in the spec, or the number of links of an asset."""
     if written.shape is not None:
         return next(iter(type(written.shape).model_fields))
     return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"

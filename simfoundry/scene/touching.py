@@ -1,7 +1,7 @@
-"""Which links may touch each other, the same in every target.
+"""Pairs of links that can be in contact, the same in every target.
 
-Links that a joint connects never touch, as far as the joint holds them: welded links count as one, a free joint holds
-nothing. All other links touch, of one object too, but for the pairs that the spec names.
+Links connected by a joint do not collide if the joint constrains them: welded links count as one, and a free joint
+constrains nothing. All other links collide, including those of one object, except for the pairs that the spec excludes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from simfoundry.scene.model import JointType, SceneObject
 
 
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Pairs of links of an object that do not touch, by name, in the order of the links."""
+    """Pairs of links of an object without contacts, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
@@ -32,7 +32,7 @@ def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Pairs of links of an object that can touch each other, by name, in the order of the links."""
+    """Pairs of links of an object that can be in contact, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
     silent = set(excluded_link_pairs(item))
@@ -41,7 +41,7 @@ def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def weld_groups(item: SceneObject) -> dict[str, str]:
-    """The first link of those that each link is welded to, by link."""
+    """For each link, the first link of the group that is welded to it."""
     groups: dict[str, str] = {}
     carriers = {joint.child: joint for joint in item.joints}
     for link in item.links:

@@ -1,4 +1,4 @@
-"""The bodies that an object consists of where free joints part it."""
+"""Kinematic trees of an object, separated by its free joints."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from simfoundry.scene.model import Joint, JointType, Link, SceneObject
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Links of an object that its joints hold together; the first is the root.
+    """Links of an object connected by constraining joints; the first is the root.
 
-    ``free_joint`` is the free joint above the root, None where the root is the object's own; ``joints`` are those
-    within the tree. ``X_WT`` is the pose of the root link's frame in the world.
+    ``free_joint`` is the free joint above the root, None if the root is the object's own; ``joints`` are those within
+    the tree. ``X_WT`` is the pose of the root link's frame in the world.
     """
 
     owner: SceneObject
@@ -26,12 +26,12 @@ class Tree:
 
     @property
     def root(self) -> Link:
-        """The link that nothing holds, or the world."""
+        """First link: the object's root link, or the child of a free joint."""
         return self.links[0]
 
     @property
     def name(self) -> str:
-        """The qualified name of the root: the object's own name, or ``object.link``."""
+        """Qualified name of the root: the object's own name, or ``object.link``."""
         return self.owner.qualified(self.root.name)
 
     @property
@@ -41,7 +41,7 @@ class Tree:
 
 
 def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Motions of the free joints of an object, by name, from the poses ``X_OT`` of the links below them, by name.
+    """Motions of an object's free joints, by name, from the poses ``X_OT`` of the links below them, by name.
 
     ``positions`` are those of its other joints.
     """
@@ -54,7 +54,7 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
-    """The trees of an object in the order of their roots; one, where it has no free joint."""
+    """Trees of an object in the order of their roots; a single one if it has no free joint."""
     free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)

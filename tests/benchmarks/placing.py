@@ -36,6 +36,7 @@ import numpy as np
 from simfoundry.cousins.layout.acceptance import examine
 from simfoundry.cousins.layout.propose import Layout, propose, scatter
 from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.layout.twin_objects import TwinRobots
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
@@ -97,7 +98,7 @@ def _twin(path: Path, rows: list[str]) -> Twin:
     path.write_text("".join(rows))
     scene = lower(load(path))
     standing = {item.name: ("table",) for item in scene.objects if not item.fixed}
-    return Twin(scene, SceneState.initial(scene), None, (), standing)  # in rows already: nothing to settle
+    return Twin(scene, SceneState.initial(scene), None, TwinRobots(scene, ()), standing)  # at rest
 
 
 def placed(twin: Twin) -> Callable[[int], tuple[float, float]]:

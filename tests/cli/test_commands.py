@@ -135,7 +135,7 @@ def test_settle_says_how_to_keep_where_things_came_to_rest(scene: Path) -> None:
     done = run("settle", scene)
     kept = scene.with_name("small_settled.scene.yaml")
     assert done.code == 1
-    assert done.out.splitlines()[-1] == (f"keep where things came to rest: simfoundry settle {scene} -o {kept}")
+    assert done.out.splitlines()[-1] == (f"to keep the settled poses: simfoundry settle {scene} -o {kept}")
     assert "keep" not in run("settle", scene, "-o", kept).out
     assert "keep" not in run("settle", kept).out
 

@@ -187,7 +187,7 @@ def hang_on_a(job: CompileJob) -> CompileOutcome:
 
 @pytest.mark.parametrize(
     ("function", "why"),
-    [("crash_on_a", "crashed (SIGSEGV)"), ("hang_on_a", "gave no sign of life for 6 s")],
+    [("crash_on_a", "crashed (SIGSEGV)"), ("hang_on_a", "did not respond for 6 s")],
 )
 @pytest.mark.usefixtures("project")
 def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
@@ -196,7 +196,7 @@ def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
     limits = Limits(6.0, 8 * 2**30)
     outcomes = compile_all(jobs, 2, limits=limits, function=f"tests.cli.test_compile_many:{function}")
     assert [o.state for o in outcomes] == [FAILED, COMPILED, COMPILED]
-    assert outcomes[0].error == f"its process {why}, at object `one` (one.obj)"
+    assert outcomes[0].error == f"its process {why}, while processing object `one` (one.obj)"
 
 
 def test_a_failed_scene_stops_no_other(project: Path) -> None:
@@ -225,7 +225,7 @@ def test_a_crash_of_the_decomposition_is_a_finding_of_the_object(
 def test_two_scenes_for_one_folder_are_refused(project: Path) -> None:
     (project / "more" / "a.scene.yaml").write_text(SCENE)
     done = run("compile", "a.scene.yaml", "more/a.scene.yaml", "-o", "build")
-    assert done.code == 2 and "would both go to build/a" in done.err and not (project / "build").exists()
+    assert done.code == 2 and "would both be written to build/a" in done.err and not (project / "build").exists()
     (project / "empty").mkdir()
     assert "no *.scene.yaml below empty" in run("compile", "empty").err
 
@@ -270,4 +270,4 @@ def test_what_is_too_light_for_a_simulator_is_refused(project: Path) -> None:
     (project / "b.scene.yaml").write_text(SCENE + "  dust: {shape: {sphere: 0.001}, mass: 1.0e-12}\n")
     done = run("compile", "b.scene.yaml", "-o", "build", "-t", "mjcf")
     assert done.code == 2
-    done.one_line("error[SF104]", "`base` of 1e-12 kg", "too little for a simulator")
+    done.one_line("error[SF104]", "`base` of 1e-12 kg", "too small for a simulator")

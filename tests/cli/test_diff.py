@@ -250,7 +250,7 @@ def test_exit_codes(repository: Repository) -> None:
         (["HEAD:no.scene.yaml", "HEAD:none.scene.yaml"], "there is no document HEAD:none.scene.yaml"),
         (["HEAD", "HEAD", "HEAD"], "give two files; or a revision, or two, and then files"),
         (["table.scene.yaml", "HEAD"], "give two files; or a revision, or two, and then files"),
-        (["--format", "html"], "a page needs a place: give `--format html` and `-o PAGE.html` together"),
+        (["--format", "html"], "an HTML page needs an output file; give `--format html` and `-o PAGE.html` together"),
     ],
 )
 @pytest.mark.usefixtures("repository")
@@ -530,7 +530,7 @@ def test_a_side_that_cannot_be_shown_says_why(repository: Repository) -> None:
     repository.write("table.scene.yaml", EDITED.replace("parts/cabinet.asset.yaml", "parts/cupboard.asset.yaml"))
     page = _page(repository)
     assert len(page.pictures()) == 1
-    assert "It cannot be shown: there is no file `parts/cupboard.asset.yaml`." in page.text
+    assert "The scene cannot be shown: there is no file `parts/cupboard.asset.yaml`." in page.text
     assert "SF203" in page.text
     repository.write("table.scene.yaml", "objects: [")
     page = _page(repository)

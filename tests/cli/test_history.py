@@ -206,8 +206,8 @@ def test_what_comes_and_goes_and_cannot_be_read_is_told(repository: Repository) 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nothing.scene.yaml"], "no commit there changes nothing.scene.yaml"),
-        (["HEAD..HEAD", "moved.scene.yaml"], "no commit there changes moved.scene.yaml"),
+        (["nothing.scene.yaml"], "no commit in this history changes nothing.scene.yaml"),
+        (["HEAD..HEAD", "moved.scene.yaml"], "no commit in this history changes moved.scene.yaml"),
         (["nowhere", "moved.scene.yaml"], "`nowhere` is neither a file nor a revision"),
         (["--", "--all", "moved.scene.yaml"], "`--all` is neither a file nor a revision"),
         (["a", "b", "moved.scene.yaml"], "give one document"),

@@ -32,7 +32,7 @@ def test_it_says_what_came_and_what_was_left_out(cup: Path, tmp_path: Path) -> N
     assert result.return_value == 0
     assert result.output.splitlines() == [
         f"{out}  from URDF: 1 body, 1 link",
-        "1 thing was left out:",
+        "1 element was left out:",
         "  `<stiffness>` of a link: the language has no word for it",
         "1 name changed: cup/Cup -> cup",
     ]

@@ -303,10 +303,10 @@ def test_outside_a_repository_and_without_git_it_says_so(tmp_path: Path, monkeyp
     folder.mkdir()
     monkeypatch.chdir(folder)
     done = run("git", "install")
-    assert done.code == 2 and "this is no git repository; start one with `git init`, or say --global" in done.err
+    assert done.code == 2 and "this is not a git repository; create one with `git init`, or pass --global" in done.err
     assert run("git", "status").code == 1
     both = run("git", "install", "--global", "--local")
-    assert both.code == 2 and "give one of --global and --local" in both.err
+    assert both.code == 2 and "--global and --local are mutually exclusive" in both.err
     monkeypatch.setenv("PATH", str(folder))
     assert "git is not installed" in run("git", "install").err
 
@@ -341,7 +341,7 @@ def test_three_files_merge_to_the_screen_or_a_file(three: list[Path], tmp_path: 
 
 def test_what_cannot_be_merged_is_said_in_a_sentence(three: list[Path], tmp_path: Path) -> None:
     base, ours, theirs = three
-    assert "name three files" in run("merge", base, ours).err
+    assert "pass three files" in run("merge", base, ours).err
     ours.write_text("a: [")
     assert "ours cannot be read: line 2" in run("merge", *three).err
     ours.write_bytes(b"\xff")

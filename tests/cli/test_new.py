@@ -142,7 +142,7 @@ def test_schemas_are_written_once_and_those_of_the_project_are_used(project: Pat
     first = run("new", "a.scene.yaml")
     assert first.out.splitlines()[:2] == [
         "wrote a.scene.yaml",
-        "wrote .simfoundry/schemas/, with which editors complete and check as you type",
+        "wrote .simfoundry/schemas/, which editors use for completion and checks",
     ]
     assert {p.name: p.read_text() for p in (project / ".simfoundry" / "schemas").iterdir()} == schemas()
     assert ".simfoundry" not in run("new", "b.scene.yaml").out

@@ -25,7 +25,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_first_document_marks_the_working_folder(folder: Path) -> None:
     done = run("new", "scenes/desk.scene.yaml")
-    assert f"wrote {MARKER}, which marks the topmost folder of the project" in done.out
+    assert f"wrote {MARKER}, which marks the root of the project" in done.out
     assert (folder / MARKER).is_file() and (folder / ".simfoundry").is_dir()
     assert not (folder / "scenes" / MARKER).exists()
     assert "wrote simfoundry.yaml" not in run("new", "scenes/other.scene.yaml").out

@@ -26,7 +26,7 @@ from pathlib import Path
 from tests.conftest import REPOSITORY
 
 README = REPOSITORY / "README.md"
-HEADING = "## From a wheel, anywhere"
+HEADING = "## Install from a wheel"
 MAX_DEMO_S = 20.0
 """CPU time that the demo may take [s]: the wall clock of a machine that does nothing else is a little less."""
 

@@ -23,10 +23,10 @@ from simfoundry.assets.cache import Cache
 from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults, needs_of
 from simfoundry.cousins.objects.item import item_of, item_of_asset, lay, lowered
 from simfoundry.cousins.objects.retrieval import likeness
-from simfoundry.cousins.objects.swap import overlay
 from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
+from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import Change, ObjectVariants
@@ -158,7 +158,9 @@ def cousin_tasks(count: int, seed: int, out: Path) -> Iterator[Path]:
         assert isinstance(case.scene.spec, SceneSpec)
         for variant in made(case, count, seed).accepted:
             write(variant, out / "assets")
-            swapped = overlay({case.name: variant.file}, case.scene.spec, out / "assets", out)
+            written = case.scene.spec.objects[case.name].model_fields_set
+            asset = {"asset": f"assets/{variant.file}", **{key: None for key in OF_LINKS if key in written}}
+            swapped: dict[str, object] = {"objects": {case.name: asset}}
             name = f"cup_in_bowl_{variant.name}"
             _write(out / f"{name}.scene.yaml", "scene/1", SPECS / "scenes" / "cup_in_bowl.scene.yaml", name, swapped)
             path = out / f"{name}.task.yaml"

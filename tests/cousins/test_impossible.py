@@ -87,8 +87,8 @@ def test_a_table_too_full_of_what_moves(project: Path) -> None:
     done = asked(project, "objects: {", f"objects: {{{moved}, ")
     assert done.code == 1, done.err
     assert done.err == (
-        "impossible: `table` is too full: the shadows of 12 things take 0.579 m^2, it has 0.480 m^2, "
-        "and what is put by chance fills 85% of that at most\n"
+        "impossible: `table` is too full: the shadows of 12 objects take 0.579 m^2, it has 0.480 m^2, "
+        "and random placement fills at most 85% of that\n"
     ), "9 crates of 0.0625 m^2, the brick of 0.0032, the can of 0.0027 and the post of 0.01 that stays"
     assert nothing_was_tried(project)
 
@@ -98,8 +98,8 @@ def test_a_table_too_full_of_distractors(project: Path) -> None:
     assert done.code == 1, done.err
     # Balls of 28 cm^2 each, for there is a brick already; and 160 cm^2 of the brick, the can and the post.
     assert (
-        "`table` is too full: the shadows of 3 things and the 150 smallest distractors take 0.441 m^2, it has 0.480 m^2"
-        in done.err
+        "`table` is too full: the shadows of 3 objects and the 150 smallest distractors take 0.441 m^2, "
+        "it has 0.480 m^2" in done.err
     )
     assert nothing_was_tried(project)
 

@@ -115,7 +115,7 @@ def test_nothing_left_is_said_with_what_each_filter_took(folder: Path) -> None:
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SimfoundryError, match="there is no library"):
+    with pytest.raises(SimfoundryError, match="does not exist; give"):
         read_library(tmp_path / "nowhere")
 
 
@@ -186,8 +186,10 @@ def test_nothing_is_added_that_an_instruction_could_mean(tmp_path: Path) -> None
     assert [item.name for item in left] == ["widget"]
     assert [[item.name for item in step.taken] for step in steps] == [["green_cup", "mine"], ["gadget"]]
     said = remarks(library, left, steps)
-    assert said[0].startswith("left out `green_cup`, `mine` of ") and "a category that the twin has not" in said[0]
-    assert said[1].startswith("left out `gadget` of ") and "a shape that the twin has not" in said[1]
+    assert (
+        said[0].startswith("left out `green_cup`, `mine` of ") and "a category that the twin does not have" in said[0]
+    )
+    assert said[1].startswith("left out `gadget` of ") and "a shape that the twin does not have" in said[1]
     assert said[2].startswith("`widget` of ") and "state no `category`" in said[2]
     without = filtered(library, DistractorAxis(exclude_categories=("cup",)))[0]
     assert [item.name for item in without] == ["gadget", "widget"]

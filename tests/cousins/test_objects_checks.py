@@ -88,7 +88,10 @@ def test_what_must_be_taken_fits_the_gripper() -> None:
 def test_sizes_and_masses_are_those_of_their_kind() -> None:
     cube = twin("clear_table", "cube", "cube")
     tiny = stretched(item("cube").spec, np.full(3, 0.3))
-    assert first(tiny, "cube", cube, "cube") == ("size", "it is 1.5 cm long, and such things are 2.0 cm to 12.0 cm")
+    assert first(tiny, "cube", cube, "cube") == (
+        "size",
+        "it is 1.5 cm long, but objects of its kind are 2.0 cm to 12.0 cm",
+    )
     lead = item("cube").spec.model_copy(update={"materials": {"wood": Material(density=11_000)}})
     assert first(lead, "cube", cube, "cube")[0] == "mass"
     assert first(tiny, "cube", cube, "gadget")[0] == "size"  # of a kind that nothing is known of, by the twin
@@ -126,7 +129,7 @@ def test_a_drawer_that_jams_is_refused() -> None:
         update={"joints": {n: j.model_copy(update={"limits": (0.0, 0.05)}) for n, j in spec.joints.items()}}
     )
     code, text = first(short, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
-    assert (code, text) == ("joint", "`drawer` moves 0.050, and 0.160 in the twin")
+    assert (code, text) == ("joint", "`drawer` has a range of 0.050, but 0.160 in the twin")
 
 
 def test_likeness_tells_apart_and_only_that() -> None:

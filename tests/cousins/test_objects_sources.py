@@ -112,7 +112,7 @@ def test_retrieval_takes_what_is_of_the_kind_and_scales_it(library: VariantLibra
     found = variants(item("cup"), axis, sources={"library": Retrieval(library)})
     assert {v.spec.category for v in found.accepted} == {"cup"} and len(found.accepted) == 2
     assert {"kind", "library"} >= set(found.reasons) - {"alike", "stands", "mass", "size"}
-    assert any("`cube`, is a cube, and no cup" in r.text for one in found.refused for r in one.reasons)
+    assert any("`cube`, is a cube, not a cup" in r.text for one in found.refused for r in one.reasons)
     assert same_kind("blue_cup", "tumbler") and not same_kind("cup", "bowl") and same_kind("wing_nut", "nut")
 
 
@@ -217,7 +217,7 @@ def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
     source = Generation(Never(), Painter(), Sculptor(), small(), small())
     refused = source(item("cup"), ObjectVariants(sources=("model",)), 0, 0)
     assert isinstance(refused, Reason) and refused.code == "picture"
-    assert refused.text == "body, a wider body: not reasonable in 3 pictures: too shiny"
+    assert refused.text == "body, a wider body: no reasonable image in 3 attempts: too shiny"
     beyond = source(item("cup"), ObjectVariants(sources=("model",)), 0, 99)
     assert isinstance(beyond, Reason) and beyond.text.startswith("the model proposed 4 changes")
 

@@ -149,7 +149,7 @@ def test_what_cannot_be_is_said_with_numbers(tmp_path: Path, monkeypatch: pytest
         ImpossibleError, match=r"source `model`, which needs models .* --vlm.*IMAGES_URL.*IMAGES_MODEL.*MESHES_URL"
     ):
         made_for(asked(sources=("model",)), table, [], 0, tmp_path, SourceSetup(table.path))
-    with pytest.raises(SimfoundryError, match="is no folder"):
+    with pytest.raises(SimfoundryError, match="is not a folder"):
         made_for(asked(sources=("library",)), table, [], 0, tmp_path, SourceSetup(table.path, tmp_path / "nowhere"))
     assert list(made_for(asked(), table, [], 0, tmp_path, SourceSetup(table.path))) == ["cube"]
 

@@ -93,7 +93,7 @@ def test_what_can_be_taken_is_measured(setting: TaskContext) -> None:
     ("name", "code", "said"),
     [
         ("wide", "too_wide", "12"),
-        ("heavy", "too_heavy", "3.77 kg, and the robot lifts 2 kg"),
+        ("heavy", "too_heavy", "3.77 kg, but the robot lifts 2 kg"),
         ("far", "out_of_reach", "1.20 m from `arm`, which reaches 0.855 m"),
         ("desk", "fixed", "fixed"),
     ],
@@ -234,11 +234,11 @@ def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: TaskConte
 
     on, within = "OnTop(ball, bowl)", "Inside(ball, bowl)"
     assert stated(on) == [("task_0", "")], "what is stated alone is taken at its word"
-    assert stated(within, on) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
-    assert stated(on, within) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
+    assert stated(within, on) == [("task_0", ""), ("task_1", "it is achieved whenever `task_0` is")]
+    assert stated(on, within) == [("task_0", ""), ("task_1", "it is achieved whenever `task_0` is")]
     both = {"all": ("Open(cabinet.drawer)", "Open(cabinet.bottom_drawer)")}
     assert stated("Open(cabinet.drawer)", both) == [
-        ("task_0", "it is done where `task_1` is, which asks for more"),
+        ("task_0", "it is achieved whenever the stricter task `task_1` is"),
         ("task_1", ""),
     ]
 
@@ -356,7 +356,7 @@ def test_the_boards_of_a_rack_are_places_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("middle", "yaw", "said"),
     [
-        (0.22, 180.0, "out_of_reach: no arm gets to `cup` from an open side"),
+        (0.22, 180.0, "out_of_reach: no arm can get to `cup` from an open side"),
         (0.09, 0.0, None),  # the room below is too low for the cup, the one above is not
     ],
 )
@@ -389,16 +389,16 @@ def test_what_is_shut_in_cannot_be_taken(tmp_path: Path) -> None:
         ("Inside(ball, ball)", "bad_goal", "one thing only"),
         ({"all": []}, "bad_goal", "not 0"),
         ({"not": "OnTop(ball, bowl)"}, "already_true", "at the start"),
-        ({"not": "OnTop(bowl, desk)"}, "no_change", "asks for nothing"),
+        ({"not": "OnTop(bowl, desk)"}, "no_change", "only requires conditions to be false"),
         ("OnTop(bowl, desk)", "already_true", "touches `desk`"),
         ("Closed(cabinet.drawer)", "already_true", "0.0%"),
         ("Inside(block, ball)", "impossible", "no cavity"),
         ("Inside(cabinet, bowl)", "too_heavy", "lifts 2 kg"),
-        ("OnTop(ball, block)", "impossible", "ways to put `ball` (6.7 x 6.7 x 6.7 cm)"),
+        ("OnTop(ball, block)", "impossible", "placements of `ball` (6.7 x 6.7 x 6.7 cm)"),
         ("Open(bowl)", "impossible", "bowl"),
         ("At(block, 1.3, 0)", "out_of_reach", "reaches 0.855 m"),
         ("Lifted(wide)", "too_wide", "fingers open"),
-        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not come true"),
+        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not become true"),
     ],
 )
 def test_refused(setting: TaskContext, goal: object, code: str, said: str) -> None:
@@ -427,7 +427,7 @@ def test_a_duplicate_is_told_by_its_meaning(setting: TaskContext) -> None:
     refused = accept("In(ball, bowl)", setting, [first])
     assert isinstance(refused, tuple)
     (reason,) = refused
-    assert (reason.code, reason.text) == ("duplicate", "its goal is that of `first`")
+    assert (reason.code, reason.text) == ("duplicate", "it has the same goal as `first`")
 
 
 @pytest.mark.parametrize(

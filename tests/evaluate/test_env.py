@@ -101,7 +101,7 @@ def test_a_step_can_be_done_alone(env: TaskEnv) -> None:
     [
         ({"start": 3}, "no start 3; there are 3, counted from 0"),
         ({"subtask": "awy"}, "did you mean `away`"),
-        ({"cell": 3}, "reset knows no option `cell`; there are: start, subtask"),
+        ({"cell": 3}, "reset has no option `cell`; there are: start, subtask"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, object], message: str) -> None:
@@ -112,8 +112,8 @@ def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (np.array([0.0, np.nan, 0.0]), "must be finite; number 1 of it is nan, and nothing was moved"),
-        (np.array([np.inf, 0.0, 0.0]), "number 0 of it is inf"),
+        (np.array([0.0, np.nan, 0.0]), "must be finite; its number 1 is nan; nothing was moved"),
+        (np.array([np.inf, 0.0, 0.0]), "its number 0 is inf"),
         (np.zeros(2), r"must have shape \(3,\), for 2 joints and the gripper of `arm`; got \(2,\)"),
         (np.zeros((1, 3)), r"got \(1, 3\)"),
         ("up", "must be numbers, not `str`"),
@@ -133,7 +133,7 @@ def test_slips_in_making_one_are_refused(push: Task) -> None:
         TaskEnv(push, engine="mujuco")
     with pytest.raises(SimfoundryError, match="no render mode `human`"):
         TaskEnv(push, render_mode="human")
-    with pytest.raises(SimfoundryError, match=r"asks for camera `frnt`.*did you mean `front`"):
+    with pytest.raises(SimfoundryError, match=r"requests camera `frnt`.*did you mean `front`"):
         TaskEnv(push, cameras={"frnt": (8, 8)})
     with pytest.raises(SimfoundryError, match=r"no action space `torque`; there are: joint_position, joint_velocity"):
         TaskEnv(push, action_space="torque")

@@ -170,7 +170,7 @@ def test_a_folder_of_an_earlier_version_is_refused(bench: Path, tmp_path: Path) 
     (tmp_path / "rollouts/push/still").mkdir(parents=True)
     (tmp_path / "rollouts/push/still/000.json").write_text("{}")
     result = run("eval", bench / "push.task.yaml", *_policies(bench)[2:], "-n", "1", "-o", tmp_path, "--no-video")
-    assert result.code == 2 and "which kept no folder for each engine; write to another folder" in result.err
+    assert result.code == 2 and "which had no folder per engine; choose another folder" in result.err
     assert not list((tmp_path / "rollouts").glob("*/*/*/*"))  # said before the first rollout
 
 
@@ -191,9 +191,9 @@ def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, t
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
     task = bench / "push.task.yaml"
     for arguments, said in [
-        ((task, "-p", "nothing"), "`nothing` is no policy"),
-        ((task, "-p", "random", "-p", "random"), "two policies are called `random`"),
-        ((task, task, "-p", "random"), "two tasks are called `push`"),
+        ((task, "-p", "nothing"), "`nothing` is not a policy"),
+        ((task, "-p", "random", "-p", "random"), "two policies have the label `random`"),
+        ((task, task, "-p", "random"), "two tasks have the name `push`"),
         ((bench / "none", "-p", "random"), "does not exist"),
         ((task, "-p", "random", "--shard", "3/2"), "is not I/N"),
         ((task, "-p", "random", "--camera", "nose"), "camera `nose`"),
@@ -278,7 +278,7 @@ def test_where_nothing_draws_an_evaluation_goes_without_videos(
     arguments = ("eval", push_file, "-p", "random", "-n", "1", "-o", tmp_path / "out")
     done = run(*arguments)
     assert done.code == 0, done.err
-    assert "no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one" in done.err
+    assert "no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one" in done.err
     assert not list((tmp_path / "out").rglob("*.webm")) and (tmp_path / "out" / "report.html").is_file()
     asked = run(*arguments[:-1], tmp_path / "asked", "--video")
     assert asked.code == 2 and "MuJoCo finds no GL driver: install libegl1" in asked.err

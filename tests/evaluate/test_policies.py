@@ -87,7 +87,9 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
         return str(raised.value)
 
     assert "No such file" in refused(tmp_path / "none.npy")
-    assert "a recording ends with .npy, .npz or .json" in refused(stored(tmp_path, ".json").rename(tmp_path / "a.txt"))
+    assert "the name of a recording must end with .npy, .npz or .json" in refused(
+        stored(tmp_path, ".json").rename(tmp_path / "a.txt")
+    )
     assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
     assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".json", []))
     assert "not finite" in refused(stored(tmp_path, ".npy", ACTIONS * np.nan))
@@ -95,20 +97,20 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     for content in (b"", b"PK\x03\x04", pickle.dumps([1]), b"\x93NUMPY\x01\x00\xff\xff", b"[", b"{}"):
         for suffix in (".npy", ".npz", ".json"):
             (tmp_path / f"bad{suffix}").write_bytes(content)
-            assert "holds no recorded actions" in refused(tmp_path / f"bad{suffix}"), (content, suffix)
+            assert "does not hold recorded actions" in refused(tmp_path / f"bad{suffix}"), (content, suffix)
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000, 100000), }\n"
     huge = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
     (tmp_path / "huge.npy").write_bytes(huge)
-    assert "holds no recorded actions" in refused(tmp_path / "huge.npy")
+    assert "does not hold recorded actions" in refused(tmp_path / "huge.npy")
     objects = tmp_path / "objects.npy"
     np.save(objects, np.array([{}], dtype=object), allow_pickle=True)
-    assert "holds no recorded actions" in refused(objects)
+    assert "does not hold recorded actions" in refused(objects)
 
 
 def test_a_recording_of_another_robot(tmp_path: Path) -> None:
     policy = load_replay(stored(tmp_path, ".npy"))
     policy.reset("", 0)
-    with pytest.raises(PolicyError, match="has 8 numbers for each action, and the robots take 16"):
+    with pytest.raises(PolicyError, match="has 8 numbers per action, but the robots take 16"):
         policy.infer(observation(0, robots=2))
 
 
@@ -148,11 +150,17 @@ def test_the_cameras_of_the_short_form_are_those_of_the_droid_cell(protocol: str
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("openpi:localhost:8000", "is not on the wire: say `openpi:localhost:8000?action_space=joint_position`"),
-        ("openpi", "is not on the wire: say `openpi:localhost?action_space=joint_position`"),
-        ("replay:", "say which recording is replayed"),
-        ("pi0:localhost", "`pi0:localhost` is no policy: give `random`"),
-        ("", "`` is no policy"),
+        (
+            "openpi:localhost:8000",
+            "the meaning of the arm's numbers: write `openpi:localhost:8000?action_space=joint_position`",
+        ),
+        (
+            "openpi",
+            "the meaning of the arm's numbers: write `openpi:localhost?action_space=joint_position`",
+        ),
+        ("replay:", "name the recording to replay"),
+        ("pi0:localhost", "`pi0:localhost` is not a policy: give `random`"),
+        ("", "`` is not a policy"),
         ("openpi:http://a?action_space=joint_position", "starts with `ws://` or `wss://`, not `http://`"),
         ("openpi:a b?action_space=joint_position", "`a b` is not an address"),
         ("openpi:a:99999?action_space=joint_position", "there is no port 99999"),
@@ -209,7 +217,7 @@ def test_a_document(tmp_path: Path) -> None:
         ("joint_position\nh", "joint_torque\nh", "SF106", 5, "joint_torque"),
         ("joint_position\nh", "joint_position\nvelocity_unit: 3\nh", "SF107", 6, "no effect on joint positions"),
         ("horizon: 8", "horizon: 0", "SF104", 6, "horizon"),
-        ("[448, 252]", "[112, 63]", "SF104", 8, "is rendered smaller than the policy takes it"),
+        ("[448, 252]", "[112, 63]", "SF104", 8, "is rendered smaller than the policy expects"),
         ("camera: wrist, ", "", "SF102", 8, "camera"),
         ("joints}", "arm}", "SF106", 9, "arm"),
         (
@@ -274,9 +282,9 @@ def test_a_feature_of_a_checkpoint() -> None:
     np.testing.assert_allclose(out, np.moveaxis(picture, -1, 0) / np.float32(255))
     state = lerobot.feature({"observation.state": np.arange(8.0)}, "observation.state", [8])
     assert state.dtype == np.float32
-    with pytest.raises(ValueError, match=r"takes `observation.state` of the shape \[7\], not \[8\]"):
+    with pytest.raises(ValueError, match=r"needs `observation.state` of shape \[7\], not \[8\]"):
         lerobot.feature({"observation.state": np.arange(8.0)}, "observation.state", [7])
-    with pytest.raises(ValueError, match=r"takes `observation.state`, and the question has prompt"):
+    with pytest.raises(ValueError, match=r"needs `observation.state`, but the query has prompt"):
         lerobot.feature({"prompt": "x"}, "observation.state", [7])
 
 

@@ -97,12 +97,12 @@ def test_pictures_of_earlier_steps_are_those_of_earlier_questions() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"video": config(["front_view"], [0])}, "the picture `front_view`, which `cameras` of tested does not have"),
-        ({"state": config(["left_hand"], [0])}, "is to be told `left_hand`; this client knows joint_position"),
+        ({"video": config(["front_view"], [0])}, "the image `front_view`, which is missing in `cameras` of tested"),
+        ({"state": config(["left_hand"], [0])}, "needs the state `left_hand`; this client supports joint_position"),
         ({"action": config(["eef_9d"], [0])}, "actions have no `joint_position`, only eef_9d"),
-        ({"video": config(["wrist_image_left"], [-15, 0])}, "looks 15 steps back, where `horizon: 8` asks nothing"),
-        ({"language": {}}, "`modality_keys` of the server's `language` is no list of names"),
-        ({"state": config(["joint_position"], [])}, "`delta_indices` of the server's `state` is no list of steps"),
+        ({"video": config(["wrist_image_left"], [-15, 0])}, "looks 15 steps back, but `horizon: 8` makes no query"),
+        ({"language": {}}, "`modality_keys` of the server's `language` is not a list of names"),
+        ({"state": config(["joint_position"], [])}, "`delta_indices` of the server's `state` is not a list of steps"),
         ({"action": None}, "does not describe its `action`"),
     ],
 )  # fmt: skip
@@ -126,17 +126,17 @@ def action(**parts: Any) -> bytes:
     ("answer", "words"),
     [
         (msgpack.packb({"error": "CUDA out of memory"}), "failed: CUDA out of memory"),
-        (b"ERROR", "failed and does not say why"),
+        (b"ERROR", "failed without giving a reason"),
         (b"\xc1", "cannot be read: it is not msgpack"),
         (msgpack.packb([]), "a `list`, not a mapping"),
         (msgpack.packb(7), "a `int`, not a mapping"),
         (action(joint_position=None), "`joint_position` is a `NoneType`"),
         (action(joint_position=np.zeros((15, 7))), "`joint_position` is of shape (15, 7)"),
         (action(joint_position=np.zeros((2, 15, 7))), "`joint_position` is of shape (2, 15, 7)"),
-        (action(gripper_position=np.zeros((1, 14, 1))), "15 steps of joints and 14 of the gripper"),
+        (action(gripper_position=np.zeros((1, 14, 1))), "15 steps for the joints but 14 for the gripper"),
         (action(gripper_position=np.zeros((1, 15, 1), bool)), "an array of `bool`"),
         (action(joint_position=np.full((1, 15, 7), np.nan)), "`nan` in action 0"),
-        (action(joint_position=np.zeros((1, 15, 6))), "7 numbers for each action, and the robots take 8"),
+        (action(joint_position=np.zeros((1, 15, 6))), "7 numbers per action, but the robots take 8"),
     ],
 )
 def test_an_answer_that_is_none_is_told_and_recorded(answer: bytes, words: str) -> None:
@@ -158,7 +158,9 @@ def test_an_answer_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch)
     with serving(GrootServer(answers={"get_action": bytes(2**21)})) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match="hung up: it is gone, or its answer is larger than 1 MiB"):
+        with pytest.raises(
+            PolicyError, match="closed the connection: it has stopped, or its answer is larger than 1 MiB"
+        ):
             asked.infer(observation(0))
         asked.close()
 
@@ -180,7 +182,7 @@ def test_a_server_that_dies_during_a_question_and_comes_back() -> None:
     with serving(GrootServer(answers={"get_action": b"DIE"})) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match="hung up"):
+        with pytest.raises(PolicyError, match="closed the connection"):
             asked.infer(observation(0))
     with serving(GrootServer(), int(address.rpartition(":")[2])):
         asked.reset(GOOD, 1)
@@ -218,6 +220,6 @@ def test_one_arm_only() -> None:
     with serving(GrootServer()) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match="moves one arm, and the task has 2 robots"):
+        with pytest.raises(PolicyError, match="moves one arm, but the task has 2 robots"):
             asked.infer(observation(0, robots=2))
         asked.close()

@@ -113,13 +113,13 @@ GOOD_ANSWER = pack({"actions": CHUNK})
     ("answer", "words"),
     [
         ("Traceback (most recent call last):\n  File\nValueError: no model\x07\n", "failed: ValueError: no model?"),
-        ("", "failed: it does not say why"),
+        ("", "failed: it gives no reason"),
         (b"\xc1", "cannot be read: it is not msgpack"),
         (b"", "cannot be read: it is not msgpack"),
         (pack([1, 2]), "has no `actions`: a `list`"),
         (pack({"action": CHUNK}), "has no `actions`: action"),
         (pack({"actions": CHUNK.tolist()}), "a `list`, not with an array"),
-        (pack({"actions": CHUNK[:, :7]}), "7 numbers for each action"),
+        (pack({"actions": CHUNK[:, :7]}), "7 numbers per action"),
         (pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}), "`nan` in action 2, number 3"),
         (
             msgpack.packb({"actions": {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1, 8]}}),
@@ -153,7 +153,7 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
     ("greeting", "words"),
     [
         ("hello", "failed: hello"),
-        (pack([1]), "begins with a `list`, not with a mapping"),
+        (pack([1]), "sent a `list` first, not a mapping"),
         (b"\xc1", "cannot be read"),
     ],
 )
@@ -203,7 +203,7 @@ def test_something_else_is_there() -> None:
 
     with running(plain(lambda c: None, "127.0.0.1", 0, process_request=refuse)) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
-        with pytest.raises(PolicyError, match=r"is no policy server \(it answered 404\)"):
+        with pytest.raises(PolicyError, match=r"is not a policy server \(it answered 404\)"):
             policy.reset(GOOD, 0)
 
 
@@ -251,7 +251,9 @@ def test_attempts_are_counted_by_rollout() -> None:
             policy.reset(GOOD, rollout)
             policy.infer(observation(0))
         policy.reset(GOOD, 2)
-        with pytest.raises(PolicyError, match=r"hung up \(1000\) after 1 attempts to connect again") as raised:
+        with pytest.raises(
+            PolicyError, match=r"closed the connection \(1000\) after 1 attempts to connect again"
+        ) as raised:
             policy.infer(observation(0))
         assert raised.type is PolicyError  # a missing rollout: nothing is known of the policy
         policy.close()
@@ -273,7 +275,7 @@ def test_a_server_that_is_started_again_loses_no_rollout_but_its_own() -> None:
                 done.append(str(error))
         policy.close()
     assert done == ["done", done[1], "done"]
-    assert done[1].endswith("hung up (1000), and with it what the server remembers of this rollout")
+    assert done[1].endswith("closed the connection (1000), and with it the server's state of this rollout")
     assert policy.record.errors == [done[1]]
 
 
@@ -292,11 +294,11 @@ SOUND = {
     [
         (
             {"action_space": "joint_velocity"},
-            "acts by `joint_velocity`, the document says `action_space: joint_position`",
+            "acts by `joint_velocity`, but the document says `action_space: joint_position`",
         ),
         ({"action_space": "cartesian_position"}, "acts by `cartesian_position`"),
-        ({"image_resolution": [180, 320]}, "wants pictures of 320 × 180, `observation/exterior_image_0_left` has"),
-        ({"needs_stereo_camera": True}, "wants the picture `observation/exterior_image_0_right`"),
+        ({"image_resolution": [180, 320]}, "needs images of 320 × 180, but `observation/exterior_image_0_left` has"),
+        ({"needs_stereo_camera": True}, "needs the image `observation/exterior_image_0_right`"),
     ],
 )
 def test_a_server_that_wants_something_else_is_told(wish: dict[str, Any], words: str) -> None:
@@ -344,7 +346,9 @@ def test_a_key_goes_along_in_the_header(monkeypatch: pytest.MonkeyPatch) -> None
     assert seen == ["Api-Key s3cret", None]
 
 
-@pytest.mark.parametrize(("value", "words"), [(None, "which is not set"), ("a\nb", "is no key"), ("ключ", "is no key")])
+@pytest.mark.parametrize(
+    ("value", "words"), [(None, "which is not set"), ("a\nb", "is not a valid key"), ("ключ", "is not a valid key")]
+)
 def test_a_key_that_is_none(monkeypatch: pytest.MonkeyPatch, value: str | None, words: str) -> None:
     if value is None:
         monkeypatch.delenv("POLICY_KEY", raising=False)

@@ -62,15 +62,15 @@ class Trap:
         (array(dtype="<c8"), "not of plain numbers"),
         (array(dtype="<M8[s]"), "not of plain numbers"),
         (array(dtype="f4,f4"), "not of plain numbers"),
-        (array(dtype="nonsense"), "no known type"),
-        (array(dtype=[["a", "<f4"]]), "no known type"),
+        (array(dtype="nonsense"), "an unknown type"),
+        (array(dtype=[["a", "<f4"]]), "an unknown type"),
         (array(shape=[10**6, 10**6]), "in 32 bytes"),
         (array(shape=[-1, 8]), "the shape [-1, 8]"),
-        (array(shape=[1] * 40), "the shape"),
+        (array(shape=[1] * 40), "the invalid shape"),
         (array(shape="18"), "without data or shape"),
         (array(data="text"), "without data or shape"),
-        (msgpack.packb({b"__npgeneric__": True, b"data": 300, b"dtype": "|u1"}), "beyond `uint8`"),
-        (msgpack.packb({b"__npgeneric__": True, b"data": b"x", b"dtype": "<f4"}), "no known type"),
+        (msgpack.packb({b"__npgeneric__": True, b"data": 300, b"dtype": "|u1"}), "out of range for `uint8`"),
+        (msgpack.packb({b"__npgeneric__": True, b"data": b"x", b"dtype": "<f4"}), "an unknown type"),
         (b"\x91" * 100_000 + b"\x00", "not msgpack"),
         (b"\xdd\xff\xff\xff\xff", "not msgpack"),
         (b"\xc6\xff\xff\xff\xff", "not msgpack"),
@@ -102,17 +102,17 @@ def pickled() -> bytes:
     [
         (msgpack.packb({"__ndarray_class__": True, "as_npy": pickled()}), "not of plain numbers"),
         (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}"), "in 8 bytes"),
-        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}"), "the shape"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}"), "the invalid shape"),
         (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': 1}"), "without a shape"),
         (npy(b"{'descr': '<f8', 'fortran_order': False}"), "cannot be read"),
-        (npy(b"{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,)}"), "no known type"),
+        (npy(b"{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,)}"), "an unknown type"),
         (npy(b"__import__('os').abort()"), "cannot be read"),
         (npy(b"(" * 9000), "cannot be read"),
         (npy(b" " * 20_000), "too long"),
-        (npy(b"{}", version=3), "no NumPy file"),
-        (msgpack.packb({"__ndarray_class__": True, "as_npy": b"PK\x03\x04"}), "no NumPy file"),
-        (msgpack.packb({"__ndarray_class__": True}), "no NumPy file"),
-        (msgpack.packb({"__ModalityConfig_class__": True, "as_json": "{"}), "describes nothing"),
+        (npy(b"{}", version=3), "not a NumPy file"),
+        (msgpack.packb({"__ndarray_class__": True, "as_npy": b"PK\x03\x04"}), "not a NumPy file"),
+        (msgpack.packb({"__ndarray_class__": True}), "not a NumPy file"),
+        (msgpack.packb({"__ModalityConfig_class__": True, "as_json": "{"}), "without a description"),
         (b"\x91" * 100_000 + b"\x00", "not msgpack"),
     ],
 )
@@ -187,10 +187,10 @@ def broken(step: int, column: int, value: float) -> np.ndarray[Any, Any]:
     [
         (CHUNK[0], "an array of (8), not of (steps, 8)"),
         (CHUNK[None], "an array of (1, 15, 8), not of (steps, 8)"),
-        (CHUNK[:, :7], "7 numbers for each action, and the robots take 8: 7 joints and a gripper of `arm`"),
-        (np.zeros((15, 32)), "32 numbers for each action"),
-        (CHUNK[:5], "5 actions, and its `horizon` is 8; lower it to 5"),
-        (CHUNK[:0], "0 actions, and its `horizon` is 8"),
+        (CHUNK[:, :7], "7 numbers per action, but the robots take 8: 7 joints and a gripper of `arm`"),
+        (np.zeros((15, 32)), "32 numbers per action"),
+        (CHUNK[:5], "5 actions, but its `horizon` is 8; lower it to 5"),
+        (CHUNK[:0], "0 actions, but its `horizon` is 8"),
         (broken(3, 2, np.nan), "`nan` in action 3, number 2"),
         (broken(0, 7, np.inf), "`inf` in action 0, number 7"),
         (broken(14, 1, -np.inf), "`-inf` in action 14"),
@@ -210,7 +210,7 @@ def test_an_answer_that_is_no_chunk_is_told(answer: Any, words: str) -> None:
 def test_a_missing_picture_is_told_and_no_other_is_taken() -> None:
     shown = observation()
     less = {name: image for name, image in shown.images.items() if name != "wrist"}
-    with pytest.raises(PolicyError, match="no picture of the camera `wrist`, which tested takes as"):
+    with pytest.raises(PolicyError, match="there is no image of the camera `wrist`, which tested needs as"):
         pictures(spec_of("openpi", "a"), type(shown)(0.0, "", shown.robots, less, shown.state))
 
 

@@ -68,7 +68,7 @@ def test_every_task_weighs_the_same_in_the_stratified_rate() -> None:
     assert rate == 0.5
     assert (low, high) == pytest.approx(wilson(8, 16), abs=1e-12)  # 4 / (1/20 + 1/5) rollouts
     assert stratified([(3, 7)])[1:] == wilson(3, 7)
-    with pytest.raises(ValueError, match="each stratum needs a rollout"):
+    with pytest.raises(ValueError, match="each stratum needs at least one rollout"):
         stratified([(0, 0)])
 
 

@@ -134,7 +134,7 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
         ),
         ("python:syntax:Push", "syntax.py cannot be imported: SyntaxError"),
         ("python:own_policies:np", "is a `module`, not a class"),
-        ("python:own_policies:Push?1=2", "are no arguments of `Push`"),
+        ("python:own_policies:Push?1=2", "are not valid arguments of `Push`"),
     ]:
         result = run("eval", "push.task.yaml", "-p", text, "-n", "1", "-o", "out")
         assert result.code == 2 and said in result.err, (text, result.err)
@@ -143,9 +143,9 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("Blind", r"`Blind` has `action_space` None; what its numbers mean is \"joint_position\" or"),
-        ("Broken", r"cannot be made: FileNotFoundError: no checkpoint \(own_policies.py:\d+\)"),
-        ("Push?steps=3", r"cannot be made: TypeError: .*unexpected keyword argument 'steps'"),
+        ("Blind", r"`Blind` has `action_space` None; it must be \"joint_position\" or"),
+        ("Broken", r"cannot be created: FileNotFoundError: no checkpoint \(own_policies.py:\d+\)"),
+        ("Push?steps=3", r"cannot be created: TypeError: .*unexpected keyword argument 'steps'"),
     ],
 )
 @pytest.mark.usefixtures("here")

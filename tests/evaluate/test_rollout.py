@@ -193,7 +193,7 @@ def test_missing_cameras_are_said_before_anything_moves(
     push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     policy = Pusher(cameras={"frnt": ImageSize(32, 24)})
-    with pytest.raises(SimfoundryError, match=r"policy `pusher` asks for camera `frnt`, .*; did you mean `front`"):
+    with pytest.raises(SimfoundryError, match=r"policy `pusher` requests camera `frnt`, .*; did you mean `front`"):
         rollout(push, push_starts[0], policy, push_world)
 
 

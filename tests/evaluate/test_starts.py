@@ -148,7 +148,7 @@ def test_where_there_is_no_place_the_error_says_which_and_why(tmp_path: Path) ->
 def test_two_objects_that_are_always_too_close_have_no_start(tmp_path: Path) -> None:
     same = "{x: [0.4, 0.42], y: [0, 0.02]}"
     task = crowded(tmp_path, f"    block: {same}\n    dish: {same}\n")
-    wanted = r"start 0: no place for `(block|dish)` in .* in 20 tries, nor in one of those left: .* overlaps"
+    wanted = r"start 0: no place for `(block|dish)` in .* in 20 tries, nor in any remaining cell: .* overlaps"
     with pytest.raises(StartError, match=wanted):
         starts(task, 1)
 

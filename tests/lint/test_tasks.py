@@ -175,7 +175,7 @@ def test_one_camera_that_sees_it_is_enough(tmp_path: Path) -> None:
     away = CAMERA.format("look_at: [-1, 0, 0.9]", "{0}")
     other = ", two: {size: [64, 48], fx: 60, fy: 60, pose: {xyz: [-1, 0, 0.5], look_at: [0, 0, 0]}}"
     wrist = ", wrist: {size: [64, 48], fx: 60, fy: 60, mount: arm.hand, pose: {xyz: [0, 0, 0], look_at: [0, 0, 1]}}"
-    assert found(written(tmp_path, cube, away.replace("{0}", ""))) == [("SF409", "`cube` is out of the view of `eye`")]
+    assert found(written(tmp_path, cube, away.replace("{0}", ""))) == [("SF409", "`cube` is outside the view of `eye`")]
     assert found(written(tmp_path, cube, away.replace("{0}", other))) == []
     assert codes(written(tmp_path, cube, ARM + away.replace("{0}", wrist))) == ["SF409"]
     riding = (

@@ -97,7 +97,7 @@ def test_a_mesh_is_made(server: tuple[str, type[Handler]]) -> None:
         ((500, b"out of\nmemory"), "answered 500 Internal Server Error: out of memory"),
         ((200, b"{}"), "answered without a picture in data"),
         ((200, b"not json"), "answered without a picture in data"),
-        ((200, b'{"data": [{"b64_json": "aGVsbG8="}]}'), "no PNG and no JPEG"),
+        ((200, b'{"data": [{"b64_json": "aGVsbG8="}]}'), "neither PNG nor JPEG"),
     ],
 )
 def test_bad_answers_are_said_in_a_sentence(
@@ -113,7 +113,7 @@ def test_bad_answers_are_said_in_a_sentence(
 def test_what_is_no_mesh_and_what_is_too_large_is_refused(server: tuple[str, type[Handler]]) -> None:
     url, handler = server
     handler.answer = 200, b"<html>"
-    with pytest.raises(ModelError, match="no GLB"):
+    with pytest.raises(ModelError, match="not a GLB"):
         HttpMeshes(url).make(PICTURE, 0)
     handler.answer = 200, b"x" * 2000
     with pytest.raises(ModelError, match="more than 0 MiB"):

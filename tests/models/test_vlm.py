@@ -69,7 +69,7 @@ def test_words() -> None:
 @pytest.mark.parametrize(
     ("pictures", "said"),
     [
-        ([b"GIF89a"], "neither"),
+        ([b"GIF89a"], "must be a PNG or a JPEG"),
         ([PNG + bytes(MAX_BYTES)], "make them smaller"),
         ([PNG] * 17, "at most 16 pictures"),
     ],
@@ -81,7 +81,7 @@ def test_pictures_are_bounded(pictures: list[bytes], said: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "url", "said"),
-    [("nobody:nothing", None, "cannot be used"), ("m", "ftp://here", "starts with http")],
+    [("nobody:nothing", None, "cannot be used"), ("m", "ftp://here", "must start with http")],
 )
 def test_a_model_that_cannot_be(name: str, url: str | None, said: str) -> None:
     with pytest.raises(VlmError, match=said):

@@ -59,7 +59,7 @@ def test_conditions_are_joined(boxes: Setting) -> None:
 @pytest.mark.parametrize("joined", ["all", "any"])
 def test_an_empty_condition_is_refused(boxes: Setting, joined: str) -> None:
     """It would always hold, or never: the goal of a task that was forgotten."""
-    with pytest.raises(PredicateError, match=f"`{joined}` of nothing"):
+    with pytest.raises(PredicateError, match=f"`{joined}` without conditions"):
         boxes.judge({joined: []}, boxes.start)
 
 
@@ -69,7 +69,7 @@ def test_an_empty_condition_is_refused(boxes: Setting, joined: str) -> None:
         ("OnTop(a, c)", "there is no `c` in this scene; there are: desk, a, b"),
         ("OnTop(a.lid, b)", "`a` has no link or joint `lid`; there are: base"),
         ("Open(a)", "no joint of `a` has limits"),
-        ("OnTop(a, a)", "is about one thing twice"),
+        ("OnTop(a, a)", "names one object twice"),
     ],
 )
 def test_what_cannot_be_judged_is_said(boxes: Setting, condition: str, message: str) -> None:

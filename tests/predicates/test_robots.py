@@ -137,7 +137,7 @@ def test_left_and_right_are_seen_from_the_robot(hand: Hand) -> None:
 def test_unknown_robots_are_named(hand: Hand) -> None:
     with pytest.raises(PredicateError, match="there is no `leg` in this scene; there are: desk, cube, bowl, arm"):
         hand.one.judge("Touching(leg, cube)", hand.one.start)
-    with pytest.raises(PredicateError, match="`bowl` is no robot with a gripper"):
+    with pytest.raises(PredicateError, match="`bowl` is not a robot with a gripper"):
         hand.one.judge("Grasped(cube, bowl)", hand.one.start)
 
 
@@ -175,6 +175,6 @@ def test_a_robot_without_a_model_is_named(hand: Hand) -> None:
     """Its shape is unknown, which is said; things are judged all the same."""
     lost = LeftOut("robots.arm", "no model found")
     one = Setting(replace(hand.one.scene, robots=(), left_out=(lost,)))
-    with pytest.raises(PredicateError, match="no model of robot `arm` is found"):
+    with pytest.raises(PredicateError, match="no model of robot `arm` was found"):
         one.judge("Touching(arm, cube)", one.start)
     assert one.judge("OnTop(cube, desk)", one.start).value

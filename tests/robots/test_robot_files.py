@@ -67,7 +67,7 @@ def test_what_is_known_of_a_robot_and_its_models_agree(name: str) -> None:
 def test_a_model_names_all_its_files(plain: Path) -> None:
     assert [path.name for path in model_files(plain)] == ["plain.urdf", "tip.obj", "tip.mtl", "tip.png"]
     (plain.parent.parent / "meshes" / "tip.obj").unlink()
-    with pytest.raises(NoModelError, match=r"plain.urdf needs tip.obj, and .*tip.obj is not there"):
+    with pytest.raises(NoModelError, match=r"plain.urdf needs tip.obj, but .*tip.obj does not exist"):
         model_files(plain)
 
 
@@ -104,7 +104,7 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     monkeypatch.setenv("MENAGERIE_ROOT", "")
     monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setenv("MENAGERIE_BASE_URL", (tmp_path / "site").as_uri())
-    with pytest.raises(NoModelError, match=r"not fetched yet; `python -m mujoco_menagerie prefetch i2rt_yam` does so"):
+    with pytest.raises(NoModelError, match=r"not downloaded yet; run `python -m mujoco_menagerie prefetch i2rt_yam`"):
         find_model(YAM, document, ".xml", fetch=False)
     assert not (tmp_path / "cache").exists()
     with pytest.raises(NoModelError, match=r"could not fetch `i2rt_yam`: file://.*not found"):
@@ -170,7 +170,7 @@ def test_descriptions_are_not_cloned_unasked(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "clones"))
     monkeypatch.delenv("GIT_ALLOW_PROTOCOL", raising=False)
     toy = "robot_descriptions:toy_mj_description"
-    with pytest.raises(NoModelError, match="not fetched yet; `robot_descriptions pull toy_mj_description` does so"):
+    with pytest.raises(NoModelError, match="not downloaded yet; run `robot_descriptions pull toy_mj_description`, or"):
         find_model(toy, tmp_path / "a.scene.yaml", ".xml", fetch=False)
     (tmp_path / "clones" / "toys" / ".git").mkdir(parents=True)
     (tmp_path / "clones" / "toys" / "toy.xml").write_text("<mujoco/>")

@@ -86,8 +86,8 @@ def test_policies_do_its_tasks(bench: Path) -> None:
     [
         (
             "  links: {hand: {link: tool, pose: {xyz: [0, 0, 0.01], yaw_deg: -90}}}\n", "",
-            "has no hand that rollouts could show: arm.xml has no link `hand`; there are: root, turret, boom, left, "
-            "right, tool; say which it is in a robot file",
+            "has no identifiable hand: arm.xml has no link `hand`; there are: root, turret, boom, left, "
+            "right, tool; name it in a robot file",
         ),
         ("link: tool", "link: toll", "arm.xml has no link `toll`; there are: root"),
         ("joints: [turn, reach]", "joints: [turn, slide]", "no position actuator of arm.xml drives its joint `slide`"),
@@ -104,7 +104,7 @@ def test_an_arm_that_takes_no_positions_is_refused(bench: Path, actuator: str) -
     model = bench.parent / "robots/models/arm.xml"
     start, end = OWN.index("<actuator>") + len("<actuator>"), OWN.index('<position name="left"')
     model.write_text(OWN[:start] + actuator + OWN[end:])
-    with pytest.raises(SimfoundryError, match=r"no position actuator of arm\.xml drives its joint `turn`; give it one"):
+    with pytest.raises(SimfoundryError, match=r"no position actuator of arm\.xml drives its joint `turn`; add one"):
         need_robots(load_task(bench))
 
 

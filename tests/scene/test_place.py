@@ -187,8 +187,8 @@ def test_other_impossible_places() -> None:
     cube = solid("cube", CUBE, pose(0, 0, 0))
     bare = replace(cube, name="bare", links=(replace(cube.links[0], colliders=(), visuals=()),))
     cases = [
-        (cube, Place(on="bare"), "`bare` touches nothing, so it carries nothing"),
-        (bare, Place(on="desk"), "`bare` has no shape that could be placed"),
+        (cube, Place(on="bare"), "`bare` has no colliders, so it supports nothing"),
+        (bare, Place(on="desk"), "`bare` has no shape to place"),
         (cube, Place(inside="desk.drawer"), "`desk` has no link `drawer`"),
         (cube, Place(on="ghost"), "`ghost` has no place itself"),
     ]

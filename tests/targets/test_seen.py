@@ -233,7 +233,7 @@ def test_a_scene_chooses_a_variant(tmp_path: Path) -> None:
     assert sizes["cup.shape"] == "0.03 0.1"
     lost = [loss for loss in compile_scene(scene, "mjcf").losses if loss.path == "cup.variants"]
     assert [loss.reason for loss in lost] == [
-        "MJCF holds one variant: `tall` is written, `default`, `red` are left out."
+        "MJCF holds one variant: `tall` is written; `default`, `red` are left out."
     ]
     stage = stage_of(scene, tmp_path / "usd")
     choices = stage.GetPrimAtPath("/World/Objects/cup").GetVariantSets().GetVariantSet("variant")
@@ -263,7 +263,7 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
         ("{scale: 2}", "SF107", "`scale` is for meshes"),
         ("{asset: nowhere.obj}", "SF203", "there is no file `nowhere.obj`"),
         ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "give one of `shape`, `asset`"),
-        ("{}", "SF107", "this one says nothing"),
+        ("{}", "SF107", "and this one has none"),
         ("{colour: [1, 0, 0]}", "SF101", "unknown key `colour`"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Layouts of a twin: placement constraints, sampling of poses, settling and acceptance."""
+"""Layouts of a twin: placement constraints, pose sampling, settling and acceptance."""

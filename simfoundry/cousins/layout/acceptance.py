@@ -1,4 +1,4 @@
-"""A layout examined: settled, and accepted only if it is what was asked for and can be worked with."""
+"""Acceptance of a layout: settle it, then check its relations, visibility and reachability."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import is_confined, is_still
 
 PENETRATION = 0.001
-"""Nothing overlaps deeper than this at rest [m]."""
+"""Maximum penetration depth at rest [m]."""
 
 DRIFT, TILT_DEG = 0.01, 5.0
-"""Nothing moves or tilts farther than this as it settles, but for what is dropped onto or into the anchor."""
+"""Maximum displacement [m] and tilt [deg] while settling, except for objects dropped onto or into the anchor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """The examination of a layout: accepted or why not; ``poses`` X_WO of what it moved; ``state`` of all.
+    """The result of examining a layout: the reasons for rejection (none if it is accepted), the poses X_WO of the
+    objects it moved, and the state of all objects.
 
-    ``unchecked`` says what could not be looked at. ``seconds`` of each part are not part of the result.
+    ``unchecked`` lists the checks that could not be made. ``seconds`` per stage are timings and not part of the result.
     """
 
     accepted: bool
@@ -46,7 +47,7 @@ class Examined:
 
 
 def examine(twin: Twin, layout: Layout) -> Examined:
-    """Settle a layout and check everything; the cheap checks first, and none after physics has failed."""
+    """Settle a layout and check it, cheap checks first; if physics fails, no further check runs."""
     clock = _Clock()
     absent = twin.absent - set(layout.poses)
     settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
@@ -94,7 +95,7 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason unless what is asked holds, the other relations still do, and the goal is not yet met."""
+    """Yield a reason if a requested or preserved relation does not hold, or if the goal is already true."""
     batch = StateBatch.of(twin.scene, [state])
     for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
@@ -111,12 +112,12 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
 
 
 def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
-    """All of some conditions where one of them is false; none where they all hold, as they mostly do."""
+    """Return all conditions if any of them is false, else an empty tuple (the common case)."""
     return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
 
 
 def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
-    """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
+    """Return the verdict on a condition that is true, or None as soon as one of its parts is false."""
     tag, below = parts(condition)
     for one in below if tag == "all" else (condition,):
         if not twin.judge.batch(one, batch)[0][0]:
@@ -125,7 +126,9 @@ def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
-    """The relations of the twin that must still hold: about nothing that moved, or about what rides and its carrier."""
+    """Relations of the twin that must be preserved: those without a moved object, and those between a rider and its
+    support.
+    """
     gone = set(moved)
     found = []
     for text in twin.relations:
@@ -139,36 +142,35 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """Yield a reason for each task object, or object moved but no distractor, that no camera sees well enough."""
+    """Yield a reason for each task object or moved object (distractors excepted) that no camera sees well enough."""
     cameras = twin.scene.cameras
     if not cameras:
-        unchecked.append("view: the scene has no camera that stands still")
+        unchecked.append("view: the scene has no static camera")
         return
     surfaces = twin.surfaces(state, twin.absent - set(layout.poses))
     for name in twin.task_objects or tuple(n for n in layout.poses if n not in twin.absent):
         least = min(SEEN, twin.shares_seen.get(name, SEEN))
         camera, share = best_view(cameras, name, surfaces, least)
         if share < least:
-            text = f"only {share:.0%} of `{name}` is seen by `{camera}`, which sees most of it; {least:.0%} must be"
+            text = f"only {share:.0%} of `{name}` is visible to `{camera}`, its best view; {least:.0%} is required"
             yield Reason("out_of_view", text, _numbers(share=share))
 
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """Yield a reason for each task object that no arm reaches, by inverse kinematics."""
+    """Yield a reason for each task object that no arm can reach, by inverse kinematics."""
     if twin.robots.reach.missing:
         unchecked.append(f"reach: {twin.robots.reach.missing}")
         return
     if twin.goal is None:
-        unchecked.append("reach: no task says which objects must be reached")
+        unchecked.append("reach: no task specifies which objects must be reached")
         return
     for name in twin.task_objects:
         if twin.scene.object(name).fixed:
             continue
         result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
-            text = (
-                f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"
-            )
+            text = f"no arm can get down to `{name}` from above: it is {result.away:.2f} m from the base of "
+            text += f"`{result.robot}`"
             yield Reason("out_of_reach", text, _numbers(away_m=result.away))
 
 
@@ -181,28 +183,32 @@ def _numbers(**values: float) -> Mapping[str, float]:
 
 
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
-"""Physics runs at least so long [s], then on in steps of so much until nothing moved over one, and at most so long.
+"""Minimum settling time, step between rest checks, and maximum settling time [s].
 
-It may end earlier only where the engine has put all things to sleep: nothing would ever move again.
+Settling ends before the minimum only if the engine has put all bodies to sleep, so that nothing can move again.
 """
 
 SLEEP = 5e-4
-"""The engine puts to sleep what moves slower than this [m/s] for ten steps; awake, it creeps hundredths of a mm."""
+"""Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below it; an awake body creeps by hundredths of a
+mm.
+"""
 
 STILL_M, STILL_DEG = 1e-4, 0.1
-"""What moves or turns no farther in a step is at rest. A ball may turn."""
+"""An object that moves and turns less than this in one step is at rest. Balls may keep turning."""
 
 CALM_S = 2.0
-"""Where then only balls roll on, their motion is taken out [s]: what is left of the time shows whether a hollow holds
-them."""
+"""Time [s] at which only balls still roll: their velocity is then set to zero, and the remaining time shows whether a
+hollow holds them.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class SettledLayout:
-    """The ``state`` at rest, rounded; how far each free object got, in ``moved`` [m] and ``tilted`` [deg].
+    """The settled ``state``, rounded, and the displacement ``moved`` [m] and rotation ``tilted`` [deg] of each free
+    object.
 
-    ``restless`` never came to rest; ``deepest`` [m] is the worst overlap at the end, between the two named;
-    ``seconds`` of physics were needed.
+    ``restless`` objects never came to rest; ``deepest`` [m] is the largest final penetration, between the two named
+    objects; ``seconds`` is the simulated time until rest.
     """
 
     state: SceneState
@@ -215,7 +221,9 @@ class SettledLayout:
 
 
 def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
-    """Let a state come to rest. The world's model is reused as it is; what is ``absent`` is not looked at."""
+    """Simulate a state until it comes to rest. The world's model is reused unchanged; ``absent`` objects are
+    ignored.
+    """
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
     _let_sleep(world)
@@ -233,7 +241,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
         )
         last = now
         if restless and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in restless):
-            world.halt()  # what then stays where it is lies in a hollow
+            world.halt()  # an object that stays in place from here on lies in a hollow
             calmed = now
         if _asleep(world) or (elapsed >= LEAST_S and not restless):
             restless = ()
@@ -256,7 +264,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
 
 
 def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
-    """The state with what is absent far away from all else and from each other."""
+    """Return the state with the absent objects moved far away from the scene and from each other."""
     if not absent:
         return state
     away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
@@ -264,7 +272,9 @@ def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneSt
 
 
 def _let_sleep(world: MujocoWorld) -> None:
-    """Return what is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
+    """Enable sleeping, so that bodies at rest cost nothing; MuJoCo wakes them on contact. Not available before MuJoCo
+    3.4.
+    """
     import mujoco
 
     sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)
@@ -274,11 +284,11 @@ def _let_sleep(world: MujocoWorld) -> None:
 
 
 def _asleep(world: MujocoWorld) -> bool:
-    """Return whether nothing is left that could move by itself."""
+    """Return whether every body that could move is asleep."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0
 
 
 def tilt_deg(before: Pose, after: Pose) -> float:
-    """Return how far the axis that pointed up has turned from the vertical [deg]."""
+    """Angle between the vertical and the axis that pointed up before [deg]."""
     up = before.rotation[2]
     return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))

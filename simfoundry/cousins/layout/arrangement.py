@@ -1,8 +1,9 @@
-"""Everything that stands while objects are placed among it, and the placing of many of them together.
+"""The objects already standing in a scene, and the joint placement of several more among them.
 
-Placed together, each object takes the first of its own candidate poses that is clear of all before it, as one after
-another by :func:`simfoundry.cousins.layout.rejection_sampling.find`. But a few candidates of all objects are drawn at
-once, and tested against each other at once; only what finds none among them is looked for alone.
+Joint placement gives each object the first of its own candidate poses that is clear of all objects before it, exactly
+as if each were placed in turn by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates
+of all objects are drawn and tested against each other in one batch; only an object without a free candidate in the
+batch is searched for on its own.
 """
 
 from __future__ import annotations
@@ -29,21 +30,21 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.place import CLEARANCE
 
 EACH = 4
-"""Candidates of each thing that are drawn at once."""
+"""Number of candidates per object in a batch."""
 
 TOGETHER = 24
-"""Things that are looked at at once: few enough for the tables of their pairs to stay in a processor's cache."""
+"""Number of objects in a batch, small enough for the pairwise tables to fit in the processor's cache."""
 
 Spot = tuple[float, float, float]
 
 ClearAt = Callable[[int, Spot, tuple[int, ...]], bool]
-"""Whether a thing, by number, is clear at a spot of the entries whose rectangles it meets."""
+"""Return whether an object, given by its index, is clear at a spot of the entries whose rectangles it meets."""
 
 Put = Callable[[int, Spot], None]
-"""Lets a thing stand at a spot: enters it among what stands there."""
+"""Place an object at a spot by adding it to the standing objects."""
 
 Alone = Callable[[int], Found]
-"""Looks for a place for a thing alone."""
+"""Search for a place for one object on its own."""
 
 
 def place_together(
@@ -55,7 +56,7 @@ def place_together(
     put: Put,
     alone: Alone,
 ) -> tuple[int, Found] | None:
-    """Place things in their order; the number of the first that finds no place, and what became of it, or None."""
+    """Place objects in order; return the index and search result of the first that finds no place, or None."""
     for first in range(0, len(things), TOGETHER):
         block = _Block(things[first : first + TOGETHER], there, rng, gap)
         for t in range(len(block.things)):
@@ -72,7 +73,9 @@ def place_together(
 
 
 class _Block:
-    """Candidates of some things, :data:`EACH` of each in a row, and which of them meet each other and what stands."""
+    """Candidates of several objects, :data:`EACH` per object, and their overlaps with each other and with standing
+    objects.
+    """
 
     def __init__(
         self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator, gap: float
@@ -116,7 +119,7 @@ class _Block:
             self._meets.setdefault(a, []).append(b)
 
     def _meet_entries(self, entries: range) -> None:
-        """Note which candidates meet some of the entries of what stands there."""
+        """Record which candidates overlap the given entries."""
         for c, entry in self._there.all_met(
             entries, self._centre, self._side, self._half, self._low, self._high, self._gap
         ):
@@ -129,7 +132,7 @@ class _Block:
             self._doubts.setdefault(c, []).append(entry)
 
     def first_clear(self, t: int, clear: Callable[[Spot, tuple[int, ...]], bool]) -> Spot | None:
-        """The first candidate of a thing that is clear of all that stands; None where none is."""
+        """Return the first candidate of an object that is clear of all standing objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
             if not self._dead[c] and (not doubts or clear(self._spots[c], doubts)):
@@ -138,7 +141,7 @@ class _Block:
         return None
 
     def entered(self, t: int, entries: range, chosen: bool) -> None:
-        """Note that a thing stands now, as some entries: at its chosen candidate, or elsewhere."""
+        """Record that an object now stands, as the given entries: at its chosen candidate or elsewhere."""
         if not chosen:
             self._meet_entries(entries)
             return
@@ -148,7 +151,7 @@ class _Block:
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
-    """The corners of shadows, as many of each, shape (n, 2, m): the last ones are repeated."""
+    """Corners of the shadows, padded to equal length by repeating the last corner, shape (n, 2, m)."""
     out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
     for row, outline in zip(out, outlines, strict=True):
         count = outline.spread.shape[1]
@@ -158,17 +161,17 @@ def _spreads(outlines: Sequence[Outline]) -> Array:
 
 
 def _each(values: Sequence[complex]) -> Complex:
-    """A value for each candidate of each thing."""
+    """Repeat one value per object for each of its candidates."""
     return np.repeat(np.array(values, dtype=np.complex128), EACH)
 
 
 GAP = 0.002
-"""Free space between things that are not asked to touch [m]: what engines keep as a margin around shapes."""
+"""Clearance between objects that are not meant to touch [m], equal to the contact margin of engines."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placeable:
-    """An object to be placed, with its riders, how it stands before it is turned about z, and its shadow."""
+    """An object to be placed, with its riders, its orientation before the rotation about z, and its shadow."""
 
     name: str
     riders: tuple[str, ...]
@@ -178,7 +181,7 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """A thing that is to stand on ``on``, with all that rides on it but what is ``staying``."""
+        """Return an object that is to stand on ``on``, with all its riders except those in ``staying``."""
         riders = twin.riders(name)
         if riders:
             riders = tuple(n for n in riders if n not in set(staying))
@@ -189,28 +192,32 @@ class Placeable:
         return twin.placeables[key]
 
     def height(self, support: Support) -> float:
-        """Height of the frame [m] at which the object stands on a support."""
+        """Height [m] of the object's frame when it stands on a support."""
         return support.height - self.outline.low + CLEARANCE
 
     def anywhere(self, support: Support) -> Region:
-        """All of a support, turned anyhow."""
+        """The region that covers a whole support, with any yaw."""
         key = (support.name, support.height)
         if key not in self._regions:
             self._regions[key] = Region(*support.bounds, (-math.pi, math.pi), support, self.height(support))
         return self._regions[key]
 
     def pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
-        """Return where its frame is when it is turned by ``yaw`` [rad]."""
+        """Pose of the object's frame at x, y, z [m] after a rotation by ``yaw`` [rad]."""
         w, qx, qy, qz = self.upright.q.tolist()
         c, s = math.cos(yaw / 2), math.sin(yaw / 2)
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
 class Arrangement:
-    """Everything that stands, while things are placed among it. A twin has one at a time: it poses its solids."""
+    """All standing objects while others are placed among them. A twin has one at a time, because it poses the twin's
+    solids.
+    """
 
     def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
-        """``poses`` differ from the twin's; what is ``moving``, and what rides on it, is not there yet."""
+        """Start from ``poses`` that differ from the twin's; objects in ``moving``, and their riders, are not placed
+        yet.
+        """
         self.twin, self.tries = twin, 0
         self.poses = dict(twin.state.poses) | dict(poses)
         self.moved: dict[str, Pose] = {}
@@ -234,7 +241,7 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Leave the support out where nothing of it stands out: what is placed stands on it."""
+        """Exclude the support itself if nothing protrudes above its level, because objects placed there stand on it."""
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -245,7 +252,9 @@ class Arrangement:
         allowed: Allowed | None = None,
         also: Callable[[], bool] | None = None,
     ) -> Found:
-        """A free place for a thing; ``also`` is asked with the thing posed among the solids."""
+        """Find a free place for an object; ``also`` is a further test, called with the object posed among the
+        solids.
+        """
         owners, on = self.there.owners, region.support.name
         self._stand_on(region.support)
 
@@ -265,7 +274,9 @@ class Arrangement:
     def put_all(
         self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
     ) -> tuple[Placeable, Found] | None:
-        """Let things stand anywhere on a support, one after another; the first that finds no place, and why."""
+        """Place objects anywhere on a support, one after another; return the first that finds no place and its search
+        result.
+        """
         owners = self.there.owners
         self._stand_on(support)
         placed = [(thing.outline, thing.anywhere(support)) for thing in things]
@@ -288,9 +299,9 @@ class Arrangement:
         return None if failed is None else (things[failed[0]], failed[1])
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return whether a thing or what rides on it is nearer to one of the others than it may.
+        """Return whether an object or one of its riders is closer to one of the others than the clearance.
 
-        What carries it may touch.
+        Contact with its support is allowed.
         """
         solids = self.twin.solids
         return any(
@@ -300,7 +311,7 @@ class Arrangement:
         )
 
     def pose(self, thing: Placeable, X_WO: Pose) -> dict[str, Pose]:
-        """Pose a thing and its riders among the solids."""
+        """Pose an object and its riders among the solids."""
         poses = {thing.name: X_WO}
         if thing.riders:
             before = self.twin.state.poses
@@ -311,10 +322,10 @@ class Arrangement:
         return poses
 
     def put(self, thing: Placeable, z: float, spot: tuple[float, float, float], dropped: bool = False) -> None:
-        """Let a thing stand at x, y [m] of its frame and a turn about z [rad]."""
+        """Place an object with its frame at x, y [m] and rotated about z [rad]."""
         x, y, yaw = spot
         poses = self.pose(thing, thing.pose(x, y, z, yaw))
-        for name in poses:  # the shadow of all of them, for each: where it is met, each is looked at
+        for name in poses:  # the joint shadow stands for each of them; if it is met, each is tested
             self.there.add(name, thing.outline, x, y, z, yaw)
         self.solid += poses
         self.moved |= poses

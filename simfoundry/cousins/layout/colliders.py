@@ -1,4 +1,4 @@
-"""Whether two things meet, on their real convex parts: bounds of the parts first, then MuJoCo's distance."""
+"""Collision tests between objects on their convex parts: bounding volumes first, then MuJoCo's distance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ Index = NDArray[np.int64]
 
 
 class Solids:
-    """The colliders of objects as MuJoCo's geoms, posed by :meth:`put`. MuJoCo neither steps nor places anything."""
+    """Collision geometry of objects as MuJoCo geoms, posed by :meth:`put`. MuJoCo neither steps nor places anything
+    here.
+    """
 
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
         import mujoco
@@ -38,7 +40,7 @@ class Solids:
             self.put(item.name, item.X_WO)
 
     def _in_frame(self, item: SceneObject, joints: Mapping[str, float | Pose]) -> tuple[Index, Array, Array]:
-        """Geoms of an object, and their poses in its frame: positions (k, 3), rotations (k, 3, 3)."""
+        """Geoms of an object and their poses in its frame: positions (k, 3), rotations (k, 3, 3)."""
         ids, p, turned = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
         poses = link_poses(item, joints)
         for link in item.links:
@@ -53,11 +55,13 @@ class Solids:
         return every, np.concatenate(p), np.concatenate(turned)
 
     def put(self, name: str, X_WO: Pose) -> None:
-        """Pose an object; its parts follow when they are looked at."""
+        """Pose an object; its parts are updated lazily, when they are queried."""
         self._waiting[name] = X_WO
 
     def _posed(self, name: str) -> tuple[Array, Array, Array]:
-        """Boxes around the parts: middles [m] (k, 3), rotations (k, 3, 3), radii of their balls [m] (k,)."""
+        """Bounding boxes of the parts: centers [m] (k, 3), rotations (k, 3, 3), radii of their bounding spheres [m]
+        (k,).
+        """
         X_WO = self._waiting.pop(name, None)
         if X_WO is None:
             return self._at[name]
@@ -71,7 +75,7 @@ class Solids:
         return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
-        """Return whether two objects are nearer to each other than ``gap`` [m], or overlap."""
+        """Return whether two objects overlap or are closer to each other than ``gap`` [m]."""
         mine, yours = self._own[a][0], self._own[b][0]
         for i, j, _ in self._near(a, b, gap):
             if self._distance(self._model, self._data, mine[i], yours[j], gap + 1e-3, None) < gap:
@@ -79,7 +83,7 @@ class Solids:
         return False
 
     def distance(self, a: str, b: str, far: float) -> float:
-        """Distance of two objects [m], negative where they overlap; ``far`` where it is more."""
+        """Signed distance between two objects [m], negative if they overlap, capped at ``far``."""
         mine, yours = self._own[a][0], self._own[b][0]
         best = far
         for i, j, bound in self._near(a, b, far):
@@ -90,7 +94,9 @@ class Solids:
         return float(best)
 
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
-        """Pairs of parts whose bounds are nearer than ``far``, from the nearest, with the least that they are apart."""
+        """Yield pairs of parts whose bounds are closer than ``far``, nearest first, with a lower bound of their
+        distance.
+        """
         if not len(self._own[a][0]) or not len(self._own[b][0]):
             return
         (middle_a, turn_a, size_a), (middle_b, turn_b, size_b) = self._posed(a), self._posed(b)
@@ -110,7 +116,7 @@ class Solids:
 
 
 def _bare(link: Link) -> Link:
-    """The link as mere shape: with one surface for all, no pair of parts needs a line of its own in the model."""
+    """The link reduced to its shape: with one surface material for all, the model needs no explicit contact pairs."""
     colliders = tuple(
         replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
     )
@@ -118,6 +124,6 @@ def _bare(link: Link) -> Link:
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:
-    """Return how far points at ``off`` from the middles of boxes are outside of them [m], (k,)."""
+    """Distance of points at ``off`` from the box centers to the outside of the boxes [m], (k,)."""
     outside = np.maximum(np.abs(np.einsum("kij,ki->kj", turn, off)) - half, 0.0)
     return np.asarray(np.sqrt((outside * outside).sum(axis=1)))

@@ -1,4 +1,4 @@
-"""What a recipe asks of a twin, and what of that can never be: found before anything is tried."""
+"""Placement constraints of a recipe, and the detection of impossible ones before any sampling."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.expressions import parse_call, texts
 
 DOUBTED = 2
-"""What may fit with a part of it only is dropped so many times as often as a candidate does before it is refused: what
-comes in once in fifty drops is missed in 8 of 100 asks, and no recipe could live on it."""
+"""Factor on the number of drops before an object that can only partly fit is rejected. A pose that succeeds once in
+fifty drops is missed for 8 of 100 requests, and rarer ones are useless to a recipe.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementConstraints:
-    """An axis made ready: the anchor, on what things stand around it, in which ``order`` they are placed, and the
-    ``sets`` of predicates that each may have at once."""
+    """A resolved scene axis: the anchor, the support on which objects stand around it, the ``order`` of placement, and
+    the ``sets`` of predicates that each object may have at once.
+    """
 
     anchor: str
     support: Support | None
@@ -41,9 +43,9 @@ class PlacementConstraints:
 
 
 def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
-    """Return what an axis asks; raises :class:`ImpossibleError` with every reason that is certain.
+    """Resolve an axis; raises :class:`ImpossibleError` with every reason that is certain.
 
-    Found once for a twin.
+    The result is cached on the twin.
     """
     key = axis.model_dump_json()
     if key not in twin.constraints:
@@ -55,7 +57,7 @@ def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
 
 
 def anchor_of(twin: Twin, axis: SceneAxis) -> str:
-    """The anchor: the one that is given, or what the goal is about and stays; empty where there is none."""
+    """Return the given anchor, or the object that the goal is about and that does not move; empty if there is none."""
     if axis.anchor is not None:
         return axis.anchor
     about: list[str] = []
@@ -75,7 +77,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
     beside = any(word in SIDES for words in axis.objects.values() for word in words)
     support = _support(twin, anchor, axis) if beside else None
     if beside and support is None:
-        text = f"nothing level carries `{anchor}`, so nothing can stand beside it; it rests on "
+        text = f"`{anchor}` has no level support on which objects could stand beside it; it rests on "
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
         return ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
@@ -109,13 +111,15 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
         elif twin.scene.object(name).fixed:
             yield Reason("fixed", f"`{name}` is fixed to the world, so it cannot move")
         elif anchor in twin.riders(name):
-            yield Reason("carries_anchor", f"`{name}` carries the anchor `{anchor}`, so it cannot move around it")
+            yield Reason("carries_anchor", f"`{name}` supports the anchor `{anchor}`, so it cannot move around it")
         elif not words:
-            yield Reason("no_predicate", f"`{name}` has no predicate that it may have to `{anchor}`")
+            yield Reason("no_predicate", f"`{name}` has no allowed predicate towards `{anchor}`")
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
-    """Return what things stand on around an anchor: the level under it; under one that is fixed, that of the things."""
+    """Support on which objects stand around an anchor: the level below it; for a fixed anchor, the level of the
+    objects.
+    """
     low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
     seen = [anchor]
     for name in seen:
@@ -134,7 +138,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
 
 
 def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, name: str, word: str) -> Iterator[Reason]:
-    """Yield why a predicate can never hold between an object and the anchor."""
+    """Yield the reasons why a predicate can never hold between an object and the anchor."""
     if word in DROPPED:
         try:
             twin.judge(f"{word}({name}, {anchor})", twin.state)
@@ -173,10 +177,10 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
 
 
 def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) -> float:
-    """The widest gap [m] to the anchor at which something ``wide`` [m] has room on a support, on one side or on any.
+    """Largest gap [m] to the anchor at which an object of width ``wide`` [m] fits on a support, on one side or on any.
 
-    Its middle is half its width within the edge, and beyond the edge of the anchor where a side is asked for; so much
-    nearer than its middle is it to the anchor at least.
+    The object's center must be half its width inside the edge of the support and, if a side is requested, beyond the
+    edge of the anchor; the gap is at least that much smaller than the distance of its center.
     """
     import shapely
 
@@ -196,7 +200,7 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
 
 
 def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[Reason]:
-    """Return whether most of a thing is outside of the cavity, however it is turned."""
+    """Yield a reason if most of an object is outside the cavity in every orientation."""
     from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, largest_share
     from simfoundry.geometry.cavity import cavity
     from simfoundry.predicates.judging.bodies import Bodies
@@ -220,11 +224,11 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return whether an object with no room in the cavity as a whole comes to lie there in enough drops."""
+    """Return whether an object that does not fit completely comes to rest in the cavity in one of many drops."""
     from simfoundry.cousins.layout.arrangement import Arrangement
     from simfoundry.cousins.layout.drop_sampling import drop
 
-    rng = np.random.default_rng(0)  # the answer belongs to the ask, not to a candidate
+    rng = np.random.default_rng(0)  # the answer belongs to the request, not to a candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
         if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
@@ -233,7 +237,7 @@ def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
 
 
 def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[str, ...], together: int) -> list[Reason]:
-    """Return why no predicates that are asked for can hold at once; nothing where some can."""
+    """Return the reason if no combination of the requested predicates can hold at once; empty if one can."""
     several = min(together, len(set(words)))
     if len(sets[0]) >= several:
         return []
@@ -249,10 +253,10 @@ SIDES = {
     "Behind": "behind",
     "NextTo": "next to",
 }
-"""Predicates of things that stand on one support, in words."""
+"""Predicates between objects that stand on one support, as phrases."""
 
 DROPPED = {"OnTop": "on", "Inside": "inside"}
-"""Predicates of what the anchor carries."""
+"""Predicates of objects that the anchor supports."""
 
 AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
@@ -260,9 +264,10 @@ _WAYS = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontO
 
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
-    """The sets of predicates that can hold at once, of the largest size up to ``together``, so that each is in one.
+    """Largest sets of predicates that can hold at once, with up to ``together`` members, such that each predicate is in
+    one.
 
-    A predicate that fits in none of that size comes in its largest.
+    A predicate that fits into no set of that size is put into the largest set that it fits into.
     """
     words = tuple(dict.fromkeys(allowed))
     found: list[tuple[str, ...]] = []
@@ -275,7 +280,7 @@ def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...
 
 
 def compatible(words: Iterable[str]) -> bool:
-    """Return whether predicates of the same two things can hold at once."""
+    """Return whether predicates of the same two objects can hold at once."""
     some = set(words)
     if any(pair <= some for pair in AGAINST):
         return False
@@ -283,7 +288,7 @@ def compatible(words: Iterable[str]) -> bool:
 
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
-    """The level unit vector, shape (3,), that a side means; None for a word that means none."""
+    """Horizontal unit vector of the side that a word denotes, shape (3,); None for a word that denotes no side."""
     if word not in _WAYS:
         return None
     column, sign = _WAYS[word]
@@ -291,8 +296,9 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
 
 
 FULL = 0.85
-"""Shadows fill no more of a table than this where things are put by chance, largest first: discs or squares of one
-size come to 0.55 (the jamming limit of random sequential packing), and small ones between large ones to some more."""
+"""Maximum share of a table's area that shadows fill if objects are placed at random, largest first. Disks or squares of
+equal size reach 0.55 (the jamming limit of random sequential packing); small ones between large ones add a little.
+"""
 
 
 def too_full(
@@ -303,10 +309,10 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Return why not everything that must stand on some places finds room there; nothing where it may.
+    """Return the reasons why the objects that must stand on the given places cannot all fit; empty if they may.
 
-    They must hold what stands there and stays, what the ``axis`` moves onto ``around`` (by default the places), and
-    ``count`` distractors, which are the ``items`` in turn: the smallest of them, at best.
+    The places must hold the objects that stand there and stay, those that the ``axis`` moves onto ``around`` (by
+    default the places), and ``count`` distractors taken from ``items`` in turn (at best the smallest of them).
     """
     moves = axis.objects if axis is not None else {}
     names = list(dict.fromkeys(place.name for place in places))
@@ -317,20 +323,20 @@ def too_full(
     added = _least(twin, names[0], items, count, FULL * area - taken)
     if taken + added <= FULL * area:
         return ()
-    what = f"{len(here)} things" + (f" and the {count} smallest distractors" if count else "")
+    what = f"{len(here)} objects" + (f" and the {count} smallest distractors" if count else "")
     is_full, has = ("is", "it has") if len(names) == 1 else ("are", "they have")
     text = (
         f"{' and '.join(f'`{name}`' for name in names)} {is_full} too full: the shadows of {what} take "
-        f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and what is put by chance fills {FULL:.0%} of that at most"
+        f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and random placement fills at most {FULL:.0%} of that"
     )
     numbers = {"needed_m2": taken + added, "support_m2": area, "things": float(len(here) + count)}
     return (Reason("too_full", text, MappingProxyType(numbers)),)
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """The shadows [m^2] of ``count`` of the items together, none taken twice before each was once: at least that.
+    """Lower bound of the total shadow area [m^2] of ``count`` items, where none is repeated before each was used once.
 
-    Where even the rectangles around them fit into what is ``free`` [m^2], they are not looked at closer.
+    If even the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed.
     """
     if not count or _sum([item.size[0] * item.size[1] for item in items], count) <= free:
         return 0.0
@@ -340,6 +346,6 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
 
 
 def _sum(areas: Sequence[float], count: int) -> float:
-    """The sum of ``count`` areas taken in turns, the smallest in the last one."""
+    """Sum of ``count`` areas taken in turn, with the smallest ones in the last, incomplete turn."""
     whole, rest = divmod(count, len(areas))
     return whole * sum(areas) + sum(sorted(areas)[:rest])

@@ -1,4 +1,4 @@
-"""Things that the anchor carries: dropped onto its real shapes, from places over all of it."""
+"""Drop sampling: place objects on or inside the anchor by dropping them onto its collision geometry."""
 
 from __future__ import annotations
 
@@ -23,20 +23,21 @@ from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.place import Place
 
 EDGE = 0.003
-"""A foot that is no farther from an edge than this [m] is on it: that of what is dropped keeps a gap of 1 mm."""
+"""Maximum distance of a foot from an edge that it rests on [m]; a dropped object keeps a gap of 1 mm."""
 
 DROPS = 64
-"""How often a thing is dropped until it counts as not fitting there."""
+"""Number of drops before an object counts as not fitting."""
 
 
 def drop(
     table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
 ) -> Reason | None:
-    """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
+    """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
 
-    What is to be on it stands on any of its levels, or lies where it touches first from above, and may slide from there
-    as it settles; on an edge too narrow to stand on nothing is left to balance. Upright first; what is to be inside and
-    does not fit so, also on its sides. Why not, where there is none.
+    An object that must be on the anchor stands on any of its levels, or lies at its first contact from above and may
+    slide while it settles; poses that balance on an edge too narrow to stand on are rejected. Objects are dropped
+    upright first; an object that must be inside and does not fit upright is also dropped on its sides. Return the
+    reason for a failure, or None.
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
@@ -89,17 +90,17 @@ def drop(
 
 
 def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
-    """A thing on a level, its frame over a point; raises :class:`PlaceError` where it stands out of the level."""
+    """Pose of an object on a level, with its frame over a point; raises :class:`PlaceError` if it would stick out."""
     X_WO = thing.pose(*xy, thing.height(level), yaw)
     turn = cmath.rect(1.0, yaw)
     middle = complex(*xy) + turn * thing.outline.middle
     if not level.holds(np.array([[middle.real, middle.imag]]), np.array([turn]), thing.outline.spread)[0]:
-        raise PlaceError(f"`{thing.name}` would stand out of the level of `{level.name}` at {level.height:.3f} m")
+        raise PlaceError(f"`{thing.name}` would stick out over the level of `{level.name}` at {level.height:.3f} m")
     return X_WO
 
 
 def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
-    """Return whether an object would balance: its middle is above a narrow edge that its foot rests on."""
+    """Return whether an object would balance: its center is above a narrow edge that its foot rests on."""
     import shapely
 
     edges = twin[anchor].edges
@@ -110,7 +111,7 @@ def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str)
 
 
 def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
-    """The same on two of its sides: what does not fit upright may lie. What carries others stays upright."""
+    """Return the object lying on two of its sides, in case it does not fit upright; empty if it has riders."""
     if thing.riders:
         return []
     sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
@@ -120,9 +121,9 @@ def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
 def dropped(
     twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
 ) -> Pose:
-    """Return where a thing first touches an anchor that it comes down on.
+    """Pose at which an object that comes down from above first touches the anchor.
 
-    Raises :class:`PlaceError` where it misses it.
+    Raises :class:`PlaceError` if it misses the anchor.
     """
     turned = thing.pose(0.0, 0.0, 0.0, yaw)
     rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
@@ -136,15 +137,15 @@ TURNS = 240
 """Number of sampled orientations, about 25 degrees apart."""
 
 SAMPLES = 64
-"""Points of the thing, as many as the predicate ``Inside`` asks about."""
+"""Number of sample points of the object, equal to that of the predicate ``Inside``."""
 
 SURE = 0.4
-"""An object whose best share is no larger cannot reach :data:`ENCLOSED` in an orientation between two samples."""
+"""Rejection threshold: with a best share below it, no orientation between two samples can reach :data:`ENCLOSED`."""
 assert SURE < ENCLOSED
 
 
 def cavity_extents(hole: Cavity) -> Array:
-    """The sides [m] of the box around a cavity, walls included, shape (3,)."""
+    """Side lengths [m] of the bounding box of a cavity, walls included, shape (3,)."""
     cells = np.argwhere(hole.depth > 0)
     return np.asarray((np.ptp(cells, axis=0) + 1) * hole.cell)
 
@@ -160,7 +161,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
     for quaternion in _orientations():
         turned = Pose.of(q=quaternion).apply(points)
         within = [_covered(turned[:, k], float(extents[k])) for k in range(3)]
-        for row in within[0]:  # windows that begin at each point along x; those along y and z together
+        for row in within[0]:  # windows that start at each point along x; those along y and z together
             if row.sum() > best:
                 some = row.nonzero()[0]
                 best = max(best, int((within[1][:, some].astype(float) @ within[2][:, some].T.astype(float)).max()))

@@ -1,8 +1,7 @@
-"""Scene cousins: other layouts, in which objects stand to an anchor as a recipe allows.
+"""Scene cousins: new layouts in which objects stand around an anchor as a recipe allows.
 
-Predicates are chosen first, evenly over all that an object may have. Then the things take their places one after
-another, the largest first, each uniformly over all places that are allowed and free. Where one finds none, all begin
-anew, a few times.
+Predicates are chosen first, evenly over all that each object may have. The objects are then placed one after another,
+largest first, each uniformly over all allowed and free places. If one finds no place, all start over, up to a limit.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
-"""How often all things are placed anew where one finds no place."""
+"""Number of times that all objects are placed anew after one finds no place."""
 
 ALMOST = 4
-"""Of many distractors only where so few, or an eighth, are left: another beginning makes no room for more."""
+"""With many distractors, retry only if at most this many, or an eighth, are unplaced: a retry creates no space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """New poses of objects: ``poses`` X_WO by name of all that move, riders too.
+    """New poses of objects: ``poses`` X_WO by name of all objects that move, riders included.
 
-    ``asked`` are the conditions that must hold at rest; ``dropped`` may move as they come to rest on or in the anchor;
-    ``tries`` counts candidates.
+    ``asked`` are the conditions that must hold at rest; ``dropped`` objects may move as they come to rest on or in the
+    anchor; ``tries`` counts candidates.
     """
 
     anchor: str
@@ -48,7 +47,7 @@ class Layout:
     tries: int = 0
 
     def and_then(self, table: Arrangement, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
-        """This with what was placed on a table on top of it."""
+        """Return this layout with the objects placed on a table added to it."""
         return Layout(
             self.anchor or anchor,
             (*self.asked, *asked),
@@ -59,13 +58,13 @@ class Layout:
 
 
 NOTHING = Layout("", (), MappingProxyType({}))
-"""The twin as it is."""
+"""The unchanged layout of the twin."""
 
 
 def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:
-    """Place the objects of an axis around its anchor, on top of a ``layout`` that was found before.
+    """Place the objects of an axis around its anchor, on top of an earlier ``layout``.
 
-    Raises :class:`ImpossibleError` for what can never be, before anything is tried.
+    Raises :class:`ImpossibleError` before any sampling if the axis can never be satisfied.
     """
     asks = placement_constraints(twin, axis)
     chosen = {name: asks.sets[name][int(rng.integers(len(asks.sets[name])))] for name in asks.order}
@@ -88,14 +87,14 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
 def scatter(
     twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
 ) -> Layout | Rejected:
-    """Put things anywhere on ``on``, or uniformly over all places of the twin where that is free; no predicates.
+    """Place objects anywhere on ``on``, or uniformly over all free places of the twin, without predicates.
 
-    What finds no room at the place that chance gave it goes to another. Raises :class:`TwinError` where there is
-    nothing level to stand on.
+    An object that finds no space at its randomly chosen place is moved to another. Raises :class:`TwinError` if there
+    is no level surface.
     """
     places = twin.places if not on else tuple(filter(None, [twin[on].support(None)]))
     if not places:
-        raise TwinError(f"nothing of `{on or twin.ground}` is level, so nothing can be put on it")
+        raise TwinError(f"`{on or twin.ground}` has no level surface, so no object can be placed on it")
     order = by_size(twin, names, places[0].name)
     areas = np.array([place.area for place in places])
     reason: Reason | None = None
@@ -120,7 +119,9 @@ def _put_all(
     places: Sequence[Support],
     rng: np.random.Generator,
 ) -> tuple[int, Reason | None]:
-    """Put things at the places chosen for them; how many are left, and why, where one finds no room anywhere."""
+    """Place objects at their chosen supports; return the number left over, and the reason if one finds no space
+    anywhere.
+    """
     left = len(names)
     for place in places:
         things = [
@@ -142,7 +143,7 @@ def _put_all(
 
 
 def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
-    """Put a thing at a place; whether it found room there."""
+    """Place an object on a support; return whether it found space there."""
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
@@ -152,7 +153,7 @@ def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str],
 
 
 def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
-    """The largest shadow first; equal ones by name."""
+    """Return names by decreasing shadow size, ties in alphabetical order."""
     areas = {name: Placeable.of(twin, name, on).outline.area for name in names}
     return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
@@ -165,7 +166,7 @@ def _place(
     words: tuple[str, ...],
     rng: np.random.Generator,
 ) -> Reason | None:
-    """Place one object; why not, where it finds no place."""
+    """Place one object; return the reason if it finds no place."""
     if set(words) & set(DROPPED):
         return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids
@@ -185,7 +186,7 @@ def _place(
 
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
-    """Return where a thing can be so that it is no farther from the anchor than it may."""
+    """Region in which an object is no farther from the anchor than the maximum gap."""
     shape = table.twin.shape(anchor, table.poses[anchor])
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
     reach = axis.gap[1] + thing.outline.radius
@@ -198,7 +199,7 @@ def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support,
 def _judged(
     table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float
 ) -> Callable[[Array, Array, Array], Mask]:
-    """Return which candidates satisfy predicates, by the judge itself, all at once."""
+    """Return a vectorized test for candidates that satisfy the predicates, evaluated by the judge itself."""
     twin, X_WA = table.twin, table.poses[anchor]
     condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
     upright = thing.upright.rotation
@@ -226,7 +227,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Return why a thing found no place, with how much of the support would do and how much of that is free."""
+    """Reason why an object found no place, with the suitable and the free area of the support."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {
@@ -252,7 +253,9 @@ def no_room(
 
 
 def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ...]) -> tuple[float, float] | None:
-    """Depth and length [m] of the part of a support beside an anchor, from its edge outwards; None without a side."""
+    """Depth and length [m] of the part of a support beside an anchor, from its edge outward; None if no side is
+    requested.
+    """
     sides = [axis for word in words if (axis := side_axis(twin.scene.viewer, word)) is not None]
     if not sides:
         return None

@@ -1,9 +1,10 @@
-"""Places for things by rejection: uniform over all that is allowed, however that is shaped.
+"""Rejection sampling of places: uniform over the allowed region, whatever its shape.
 
-Positions and turns are drawn uniformly over a rectangle that holds every allowed one, many at once; the first that
-passes every test is taken. So each allowed place is as likely as any other. Tests, in their order: the whole shadow is
-over the support; what is asked of the pose, on all that are left together; no rectangle of what stands there is met,
-which is exact for boxes; the real convex parts, one candidate after the other, where rectangles overlap.
+Positions and yaw angles are drawn in batches, uniformly over a rectangle that contains the allowed region, and the
+first candidate that passes every test is taken; so each allowed place is equally likely. The tests, in order: the whole
+shadow lies over the support; the pose satisfies the predicates (evaluated for all remaining candidates together); the
+rectangle overlaps no standing object's rectangle (exact for boxes); if rectangles overlap, the convex parts, one
+candidate at a time.
 """
 
 from __future__ import annotations
@@ -20,39 +21,41 @@ from simfoundry.cousins.layout.supports import Complex, Outline, Support
 from simfoundry.geometry.frames import Array
 
 TRIES = 4096
-"""Candidates until a thing counts as not placeable among what stands there."""
+"""Maximum number of candidates before an object counts as not placeable."""
 
 FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
-"""Candidates that are looked at together: first, also where they are judged, and at most; more each time."""
+"""Batch sizes: the first, the first if predicates are evaluated, and the largest; batches grow."""
 
 NEAR_LEVEL = 0.02
-"""What is lowest within this [m] of a level stands on it."""
+"""Tolerance [m] on the height of an object's lowest point for it to stand on a level."""
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Allowed = Callable[[Array, Array, Array], Mask]
-"""Which candidates are allowed: x, y [m] of the thing's frame and turn about z [rad], shape (n,) each."""
+"""Mask of the allowed candidates, from x, y [m] of the object's frame and its rotation about z [rad], shape
+(n,) each.
+"""
 
 Clear = Callable[[float, float, float, tuple[int, ...]], bool]
-"""Whether one candidate is clear of the entries, by number, whose rectangles it meets."""
+"""Return whether one candidate is clear of the entries, given by index, whose rectangles it meets."""
 
 Last = Callable[[float, float, float], bool]
-"""Whether one candidate passes what is too dear to ask of many."""
+"""Return whether one candidate passes a test that is too expensive to run on many."""
 
 
 class Occupancy:
-    """Rectangles and spans of heights of what stands on a support; objects of several links have several entries."""
+    """Rectangles and height ranges of the objects on a support; objects with several links have several entries."""
 
     def __init__(self, room: int = 64) -> None:
         self.count = 0
         self.owners: list[str] = []
-        self._rows = np.zeros((6, room))  # centre x and y, radius of the circle around, lowest, highest, shadow's area
-        self._heights = np.zeros((2, room))  # lowest and highest, also of what is set aside
+        self._rows = np.zeros((6, room))  # center x and y, bounding radius, lowest, highest, area of the shadow
+        self._heights = np.zeros((2, room))  # lowest and highest, including excluded entries
         self._half, self._turn = np.zeros((2, room), dtype=np.complex128)
         self._boxy: list[bool] = []
 
     def add(self, owner: str, outline: Outline, x: float, y: float, z: float, yaw: float) -> None:
-        """Add a thing whose frame is at x, y, z [m] and turned by ``yaw`` [rad] about z."""
+        """Add an object whose frame is at x, y, z [m] and rotated by ``yaw`` [rad] about z."""
         k = self.count
         if k == len(self._half):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
@@ -68,13 +71,15 @@ class Occupancy:
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Leave out what is called ``owner``, and nothing else: what stands on it touches it."""
+        """Exclude exactly the entries of ``owner``, because an object that stands on it touches it."""
         self._rows[3:5, : self.count] = self._heights[:, : self.count]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
 
     def near(self, centre: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
-        """Pairs of candidates and entries whose circles are nearer than ``gap``, (n, k), and their offsets [m]."""
+        """Mask (n, k) of candidates and entries whose bounding circles are closer than ``gap``, and their
+        offsets [m].
+        """
         rows = self._rows[:, : self.count]
         dx, dy = rows[0] - centre[:, :1], rows[1] - centre[:, 1:]
         reach = rows[2] + (outline.size + gap)
@@ -85,9 +90,9 @@ class Occupancy:
         return near, dx, dy
 
     def met(self, i: Index, j: Index, dx: Array, dy: Array, turn: Complex, outline: Outline, gap: float) -> Mask:
-        """Return whether rectangles of candidates i, turned by unit complex numbers, meet those of entries j.
+        """Return whether the rectangles of candidates i, rotated by unit complex numbers, meet those of entries j.
 
-        ``dx`` and ``dy`` [m] are the offsets between their centres.
+        ``dx`` and ``dy`` [m] are the offsets between their centers.
         """
         half = complex(*outline.half.tolist())
         return rectangles_meet(dx + 1j * dy, turn[i] * outline.turn, half, self._turn[j], self._half[j], gap)
@@ -95,7 +100,9 @@ class Occupancy:
     def all_met(
         self, entries: range, centre: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> Iterator[tuple[int, int]]:
-        """Pairs of rectangles, as in :func:`rectangles_meet`, with a span of heights each, and of entries they meet."""
+        """Yield pairs of rectangles (as in :func:`rectangles_meet`, each with a height range) and entries that
+        overlap.
+        """
         rows = self._rows[:, entries.start : entries.stop]
         if not rows.shape[1]:
             return
@@ -109,22 +116,22 @@ class Occupancy:
         yield from zip(i[met].tolist(), k[met].tolist(), strict=True)
 
     def area_on(self, height: float) -> float:
-        """Sum of the shadows [m^2] of what is lowest near a height [m]."""
+        """Total shadow area [m^2] of the objects whose lowest point is near a height [m]."""
         low, area = self._rows[3, : self.count], self._rows[5, : self.count]
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Return whether one of some entries fills its rectangle."""
+        """Return whether one of the entries fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
 def rectangles_meet(
     off: Complex, turn_a: Complex, half_a: Complex | complex, turn_b: Complex, half_b: Complex | complex, gap: float
 ) -> Mask:
-    """Return whether rectangles are nearer than ``gap`` [m] along the sides of both: no line lies between them.
+    """Return whether rectangles are closer than ``gap`` [m] along the sides of both, that is, no side separates them.
 
-    ``off`` is from the centre of the first to that of the second [m]; turns are unit complex numbers; half extents [m]
-    have that along the first side as real part.
+    ``off`` is the vector from the center of the first to that of the second [m]; rotations are unit complex numbers;
+    the real part of the half extents [m] is along the first side.
     """
     way = turn_a * turn_b.conj()
     cos, sin = np.abs(way.real), np.abs(way.imag)
@@ -138,8 +145,9 @@ def rectangles_meet(
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A range for the centre of an object's rectangle [m], shape (2,) each, for its turn [rad]; the ``support`` that
-    it stands on, and the height ``z`` [m] of its frame there."""
+    """Ranges of the center [m] and rotation [rad] of an object's rectangle, shape (2,) each, the ``support`` that it
+    stands on, and the height ``z`` [m] of its frame there.
+    """
 
     low: Array
     high: Array
@@ -149,12 +157,12 @@ class Region:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """The lowest x, y [m] and turn [rad], and how far they go from there, shape (3,) each."""
+        """Lowest x, y [m] and rotation [rad], and the size of their ranges, shape (3,) each."""
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-        """Centres [m], shape (count, 2), and turns [rad], shape (count,), uniform over all of it."""
+        """Draw centers [m], shape (count, 2), and rotations [rad], shape (count,), uniformly over the region."""
         low, span = self.span
         drawn = rng.random((count, 3)) * span + low
         return drawn[:, :2], drawn[:, 2]
@@ -162,7 +170,9 @@ class Region:
 
 @dataclass(frozen=True)
 class Found:
-    """A place for an object: x, y [m] of its frame, turn about z [rad], or None; and what became of all candidates."""
+    """The place found for an object (x, y [m] of its frame, rotation about z [rad]) or None, with counts of the
+    candidates.
+    """
 
     spot: tuple[float, float, float] | None
     tried: int
@@ -172,10 +182,10 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """Tests that a place must pass beyond being over the support and clear of what fills its rectangle.
+    """Further tests of a place that is over the support and clear of box-shaped objects.
 
-    ``allowed`` is asked of many at once; ``clear`` of one that meets rectangles of entries, with their numbers; and
-    ``last`` of one that is clear.
+    ``allowed`` is called with many candidates at once; ``clear`` with one that meets rectangles of entries, and their
+    indices; ``last`` with one that is clear.
     """
 
     allowed: Allowed | None = None
@@ -192,7 +202,9 @@ def find(
     demands: Demands,
     tries: int = TRIES,
 ) -> Found:
-    """A place for a thing in a region, uniform over all that pass every test; of at most ``tries`` candidates."""
+    """Find a place for an object in a region, uniform over all that pass every test, with at most ``tries``
+    candidates.
+    """
     tried = standing = permitted = 0
     size, offset = FIRST if demands.allowed is None else FIRST_JUDGED, outline.middle
     while tried < tries:
@@ -219,7 +231,7 @@ def find(
 
 
 def _frames(centre: Array, turn: Complex, offset: complex) -> Complex:
-    """Return where the frames are, x + iy [m], of things whose rectangles are centred so."""
+    """Frame positions x + iy [m] of objects whose rectangles have the given centers."""
     return np.asarray(centre[:, 0] + 1j * centre[:, 1] - turn * offset)
 
 
@@ -231,9 +243,9 @@ def _spot(centre: Array, yaw: float, turn: complex, offset: complex) -> tuple[fl
 def _unblocked(
     outline: Outline, z: float, there: Occupancy, gap: float, first: bool, centre: Array, turn: Complex
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Candidates in their order that are not surely blocked, with the entries whose rectangles each meets.
+    """Yield, in order, the candidates that are not certainly blocked, each with the entries whose rectangles it meets.
 
-    What comes after one that meets nothing is left out where only the ``first`` is wanted.
+    If only the ``first`` is needed, candidates after one that meets nothing are skipped.
     """
     near, dx, dy = there.near(centre, outline, z, gap)
     some: list[bool] = np.asarray(near.any(axis=1)).tolist()

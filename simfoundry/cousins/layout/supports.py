@@ -1,4 +1,4 @@
-"""The shadow of a thing on the ground: its convex outline, and the smallest rectangle around that."""
+"""Support surfaces and shadows of objects: the vertical projection's convex outline and its smallest rectangle."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 Complex = NDArray[np.complex128]
 
 ROUND = 48
-"""Corners of the polygon around the shadow of a ball."""
+"""Number of corners of the polygon around the shadow of a ball."""
 
 LEVEL = 2e-4
-"""A box whose corners are level within this [m] stands flat: settling leaves that much."""
+"""Height tolerance [m] for the corners of a box that stands flat: settling leaves that much."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A thing seen from above, in the frame that it has at its place before it is turned about z.
+    """Top view of an object, in the frame that it has at its place before the rotation about z.
 
     ``corners`` [m] of its convex shadow, counter-clockwise, shape (m, 2). The rectangle has its ``centre`` [m], shape
-    (2,), ``half`` extents [m], shape (2,), and is turned by ``angle`` [rad]. ``low`` and ``high`` [m] over the frame's
-    origin. ``boxy`` where the thing fills the rectangle from low to high.
+    (2,), ``half`` extents [m], shape (2,), and is rotated by ``angle`` [rad]. ``low`` and ``high`` [m] are relative to
+    the frame's origin. ``boxy`` is true if the object fills the rectangle from low to high.
     """
 
     corners: Array
@@ -48,7 +48,7 @@ class Outline:
     def of(cls, shape: Hulls) -> Outline:
         """Outline convex parts; raises ValueError if there are none."""
         if not len(shape.corners):
-            raise ValueError("nothing to see")
+            raise ValueError("there are no convex parts")
         corners = _shadow(shape)
         centre, half, angle = _rectangle(corners)
         low, high = shape.extent(np.array([0.0, 0.0, 1.0]))
@@ -56,27 +56,27 @@ class Outline:
 
     @cached_property
     def spread(self) -> Array:
-        """The corners seen from the centre of the rectangle [m], shape (2, m)."""
+        """Corners relative to the center of the rectangle [m], shape (2, m)."""
         return np.ascontiguousarray((self.corners - self.centre).T)
 
     @cached_property
     def radius(self) -> float:
-        """Radius [m] of the circle about the centre of the rectangle that holds the shadow."""
+        """Radius [m] of the circle about the center of the rectangle that contains the shadow."""
         return float(np.hypot(*self.spread).max())
 
     @cached_property
     def size(self) -> float:
-        """Radius [m] of the circle around the rectangle."""
+        """Radius [m] of the circumscribed circle of the rectangle."""
         return float(np.hypot(*self.half))
 
     @cached_property
     def middle(self) -> complex:
-        """The centre as x + iy [m]."""
+        """Center as x + iy [m]."""
         return complex(*self.centre.tolist())
 
     @cached_property
     def turn(self) -> complex:
-        """The turn of the rectangle as a unit complex number."""
+        """Rotation of the rectangle as a unit complex number."""
         return cmath.rect(1.0, self.angle)
 
     @cached_property
@@ -86,12 +86,12 @@ class Outline:
 
     @cached_property
     def width(self) -> float:
-        """Between the nearest two parallel lines that hold the shadow [m]."""
+        """Minimum width: distance between the closest two parallel lines that enclose the shadow [m]."""
         return float(_spans(self.corners).min())
 
 
 def _shadow(shape: Hulls) -> Array:
-    """Convex outline of all parts seen from above; balls count as polygons around them."""
+    """Convex outline of all parts in the top view; balls are replaced by circumscribed polygons."""
     points, radius = shape.corners[:, :2], shape.radius[shape.part]
     angle = (np.arange(ROUND) + 0.5) * (2 * np.pi / ROUND)
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / ROUND)
@@ -101,7 +101,9 @@ def _shadow(shape: Hulls) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Corners of the convex hull, counter-clockwise, shape (m, 2); of what has no area, its box made a hair wide."""
+    """Corners of the convex hull, counter-clockwise, shape (m, 2); a degenerate hull is replaced by a thin
+    rectangle.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -129,7 +131,7 @@ def _spans(corners: Array) -> Array:
 
 
 def _rectangle(corners: Array) -> tuple[Array, Array, float]:
-    """The rectangle of least area around a convex polygon: one of its sides is along an edge."""
+    """Rectangle of smallest area around a convex polygon; one of its sides lies along an edge."""
     edges, along, across = _along_edges(corners)
     spans = [(v.min(axis=1), v.max(axis=1)) for v in (along, across)]
     area = (spans[0][1] - spans[0][0]) * (spans[1][1] - spans[1][0])
@@ -142,7 +144,7 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
 
 
 def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
-    """Return whether one box that stands flat is all there is."""
+    """Return whether the object is exactly one box that stands flat."""
     z = shape.corners[:, 2]
     if len(shape.radius) != 1 or shape.radius[0] > 0 or len(z) != 8:
         return False
@@ -151,21 +153,25 @@ def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -
 
 
 UPWARD = 0.999
-"""A face whose unit normal has at least this along z is level."""
+"""A face whose unit normal has at least this z component is level."""
 
 STEP = 1e-3
 """Faces whose heights differ by less than this [m] are one level."""
 
 NARROW = 0.04
-"""What is narrower than this [m] is an edge and no place: the side panel of a shelf, the rim of a box. What a hand
-takes is about as wide or wider, and would balance there."""
+"""Maximum width [m] of an edge that is no place to stand on, such as the side panel of a shelf or the rim of a box.
+Graspable objects are about this wide or wider, and would balance there.
+"""
 
 ABOVE = 0.02
-"""So high over a level [m] it is looked from where a hand could come in: below the lips that keep things on trays."""
+"""Height above a level [m] from which rays test for access by a hand: lower than the lips that keep objects on
+trays.
+"""
 
 OPEN_SHARE = 0.05
-"""A level is open where at least this share of the looks from its middle leave the object: about a sixth do from a
-shelf with an open front, none from a closed drawer."""
+"""A level is open if at least this share of the rays from its center leave the object: about a sixth for a shelf with
+an open front, none for a closed drawer.
+"""
 
 _FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
 """Rays (x, y, 1) that fill a right angle."""
@@ -180,15 +186,16 @@ SIDEWAYS = tuple(
         ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     )
 )
-"""Rotations whose last column is where to look: +x, -x, +y, -y and up."""
+"""Rotations whose last column is the viewing direction: +x, -x, +y, -y and up."""
 
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """A level at ``height`` [m] of the object called ``name``.
+    """A level surface at ``height`` [m] of the object ``name``.
 
     ``corners`` [m] of the convex hull of its ``area`` [m^2], counter-clockwise, shape (m, 2); ``plane`` is the area
-    itself where it is not convex. ``plain`` where the object is one convex part: nothing of it stands out of the level.
+    itself if it is not convex. ``plain`` is true if the object is one convex part, so that nothing protrudes above the
+    level.
     """
 
     name: str
@@ -225,12 +232,12 @@ class Support:
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
     def holds(self, centre: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
-        """Return whether whole shadows are over the level, (n,).
+        """Return whether whole shadows lie over the level, (n,).
 
-        The centres of their rectangles [m], (n, 2); their turns about z as unit complex numbers, (n,); and the
-        :attr:`Outline.spread` of one for all, (2, m), or of each, (n, 2, m).
+        Arguments: the centers of their rectangles [m], (n, 2); their rotations about z as unit complex numbers, (n,);
+        and the :attr:`Outline.spread`, either one for all, (2, m), or one each, (n, 2, m).
         """
-        # Sides turned back into the thing's frame, where the shadow's farthest corner along each is found.
+        # Rotate the sides into the object's frame, in which the shadow's farthest corner along each side is known.
         sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
         reach = (sides @ spread).max(axis=-1)
         within: NDArray[np.bool_] = (centre @ self.normals.T + reach <= self.offsets).all(axis=1)
@@ -249,9 +256,10 @@ class Support:
 
 
 def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
-    """Find every level of an object on which something can stand, lowest first, optionally of some ``links`` only.
+    """Return every level surface of an object on which another can stand, lowest first, optionally of some ``links``
+    only.
 
-    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are left out.
+    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are excluded.
     """
     found = []
     for _, triangles in _levels(shape, links):
@@ -262,7 +270,7 @@ def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
-    """The level of an object nearest to the height ``near`` [m], or its largest; None where no face is level."""
+    """Return the level of an object closest to the height ``near`` [m], or its largest; None if no face is level."""
     levels = _levels(shape)
     if not levels:
         return None
@@ -274,7 +282,7 @@ def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | 
 
 
 def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
-    """Heights [m] and areas of what is level but narrower than :data:`NARROW`: sides of shelves, rims of boxes."""
+    """Heights [m] and areas of level surfaces narrower than :data:`NARROW`, such as shelf sides and box rims."""
     found = []
     for height, triangles in _levels(shape, links):
         plane = _plane(triangles)
@@ -285,7 +293,7 @@ def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[f
 
 
 def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
-    """Heights [m] and the triangles [m] there, shape (m, 3, 3), of all that is level, from below."""
+    """Heights [m] of all level surfaces and their triangles [m], shape (m, 3, 3), in ascending order."""
     level = shape.normals[:, 2] > UPWARD
     if links is not None:
         level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
@@ -297,7 +305,7 @@ def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[fl
 
 
 def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
-    """The level that some triangles make, without strips that are narrower than ``narrow`` [m]; None if that is all."""
+    """Return the level formed by triangles, without strips narrower than ``narrow`` [m]; None if nothing remains."""
     import shapely
 
     plane = _without_strips(_plane(triangles), narrow)
@@ -312,7 +320,7 @@ def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Suppor
 
 
 def _plane(triangles: Array) -> BaseGeometry:
-    """The area that triangles cover, seen from above."""
+    """Area covered by triangles in the top view."""
     import shapely
 
     area = np.abs(_areas(triangles[:, :, :2]))
@@ -320,20 +328,20 @@ def _plane(triangles: Array) -> BaseGeometry:
 
 
 def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
-    """An area without what is narrower than ``narrow`` [m]; its corners stay."""
+    """Return an area without the parts narrower than ``narrow`` [m]; the corners of the rest are unchanged."""
     half = narrow / 2
     return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Return whether the object encloses a level so far that a hand cannot reach its middle."""
+    """Return whether the object encloses a level so far that a hand cannot reach its center."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False
     x, y = support.middle
     seen_from = np.array([x, y, support.height + ABOVE])
     out = 0
-    for side in SIDEWAYS:  # a look to each side, and one up; what is behind a ray's origin it does not see
+    for side in SIDEWAYS:  # one view to each side and one up; a view sees nothing behind its ray origins
         local = (triangles - seen_from) @ side
         rays = scattered_rays(*_FAN)
         out += int((first_hits(local, rays).triangle < 0).sum())

@@ -1,4 +1,4 @@
-"""The twin that cousins come from, prepared once: its scene at rest, what judges it, and its shapes."""
+"""The digital twin from which cousins are derived, prepared once: the settled scene, its judge and its shapes."""
 
 from __future__ import annotations
 
@@ -38,23 +38,25 @@ if TYPE_CHECKING:
 
 
 ELSEWHERE = 100.0
-"""Distance [m] from the scene and from each other at which absent objects fall, so that nothing meets them."""
+"""Distance [m] of absent objects from the scene and from each other while they fall, so that they meet nothing."""
 
 UNDERFOOT = 0.3
-"""What lies so much lower than a table top [m], and under it, is the floor: the lowest tables are about so high."""
+"""A level that lies this far below a table top [m], and under it, is the floor; the lowest tables are about
+this high.
+"""
 
 
 class TwinError(SimfoundryError):
-    """A scene that no cousins can be made of; the message says why."""
+    """A scene from which no cousins can be made; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A scene, or a task in its scene, whose ``state`` is at rest.
+    """A scene, or a task in its scene, with a ``state`` at rest.
 
-    ``goal`` is the task's, None without one; ``robots`` act in it. ``carried`` names what each free object rests on.
-    ``absent`` are objects of the scene that are not there yet: a layout has to place them. A twin that was made of
-    another by :meth:`extended` or :meth:`at` shares with that ``base`` whatever is the same in both.
+    ``goal`` is the task's goal, or None; ``robots`` act in the scene. ``carried`` lists the supports of each free
+    object. ``absent`` objects are part of the scene but have no place yet: a layout must place them. A twin derived
+    from another by :meth:`extended` or :meth:`at` shares all unchanged data with that ``base``.
     """
 
     scene: Scene
@@ -90,9 +92,10 @@ class Twin:
         return cls(scene, state, goal, TwinRobots(scene, acting), MappingProxyType(carried))
 
     def extended(self, objects: Sequence[SceneObject]) -> Twin:
-        """Return the twin with more objects, absent until a layout places them; one of a known name replaces it.
+        """Return the twin with more objects, absent until a layout places them; an object with a known name is
+        replaced.
 
-        What replaces an object stands where that stood, and must be settled by
+        A replacement stands at the place of the original, and must be settled by
         :func:`simfoundry.cousins.layout.acceptance.examine`.
         """
         new = {item.name: item for item in objects}
@@ -117,14 +120,14 @@ class Twin:
         return replace(self, state=state, base=self)
 
     def _is_as_in_base(self, name: str) -> bool:
-        """Return whether an object is the same as in the base, and where it is there."""
+        """Return whether an object is unchanged and at the same pose as in the base."""
         if self.base is None:
             return False
         item = self.scene.object(name)
         same = self.base.scene.by_name.get(name) is item and self.base.state.poses[name] is self.state.poses[name]
         return same and self.base.state.of_object(item) == self.state.of_object(item)
 
-    # -- what is prepared when first asked for ------------------------------------------------------------------------
+    # -- prepared on first use ----------------------------------------------------------------------------------------
 
     @cached_property
     def judge(self) -> Judge:
@@ -135,14 +138,14 @@ class Twin:
 
     @cached_property
     def world(self) -> MujocoWorld:
-        """The scene without its robots in MuJoCo; one model for every layout."""
+        """MuJoCo world of the scene without its robots; one model for every layout."""
         if self.base is not None and self.base.scene is self.scene:
             return self.base.world
         return MujocoWorld(bare(self.scene))
 
     @cached_property
     def solids(self) -> Solids:
-        """The convex parts of everything, robots included, as in :attr:`state`."""
+        """Convex parts of all objects and robots, posed as in :attr:`state`."""
         joints = {item.name: self.state.of_object(item) for item in self.scene.objects}
         made = Solids((*self.scene.objects, *self.robots.obstacles), joints)
         for name, pose in self.state.poses.items():
@@ -159,18 +162,18 @@ class Twin:
 
     @cached_property
     def constraints(self) -> dict[str, PlacementConstraints | ImpossibleError]:
-        """Placement constraints by the text of their axis, as far as they have been found."""
+        """Cached placement constraints, by the text of their axis."""
         return {}
 
     @cached_property
     def placeables(self) -> dict[tuple[str, str, tuple[str, ...]], Placeable]:
-        """Objects to be placed by name, support and riders, as far as they have been asked for."""
+        """Cached objects to be placed, by name, support and riders."""
         return {}
 
     # -- shapes -------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> TwinObject:
-        """The object ``name`` where it rests."""
+        """Return the object ``name`` at its rest pose."""
         if name not in self._objects:
             if self.base is not None and self._is_as_in_base(name):
                 self._objects[name] = self.base[name]
@@ -180,37 +183,37 @@ class Twin:
         return self._objects[name]
 
     def item_at(self, name: str, X_WO: Pose) -> SceneObject:
-        """An object where it is put, with its joints as in :attr:`state`."""
+        """Return an object at a pose, with its joint positions from :attr:`state`."""
         own = self[name]
         return own.standing if X_WO is own.X_WO else replace(own.item, X_WO=X_WO)
 
     def shape(self, name: str, X_WO: Pose = IDENTITY) -> Hulls:
-        """The convex parts of an object whose frame is at ``X_WO``."""
+        """Convex parts of an object whose frame is at ``X_WO``."""
         own = self[name]
         if X_WO is IDENTITY:
             return own.shape
         return own.placed if X_WO is own.X_WO else own.shape.posed(X_WO)
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
-        """Lowest and highest corner in the world [m], shape (3,) each, of an object where it is put."""
+        """Lowest and highest corner of an object's bounding box in the world [m], shape (3,) each."""
         shape = self[name].shape
         corners, radius = X_WO.apply(shape.corners), shape.radius[shape.part, None]
         return (corners - radius).min(axis=0), (corners + radius).max(axis=0)
 
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
-        """The shadow of each link of an object where it is put, in the world."""
+        """Shadow of each link of an object at a pose, in the world."""
         own = self[name]
         return own.shadows if X_WO is own.X_WO else link_shadows(self.shape(name, X_WO))
 
     def surfaces(self, state: SceneState, absent: Iterable[str] = ()) -> dict[str, VisibleSurface]:
-        """Visible surfaces of all objects in a state, and of the robots at their start."""
+        """Visible surfaces of all objects in a state, and of the robots in their start configuration."""
         gone = set(absent)
         there = [item.name for item in self.scene.objects if item.name not in gone]
         return {name: self[name].surface.at(state.poses[name]) for name in there} | dict(self.robots.surfaces)
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """Share of each object that the best camera sees in the twin itself; what is absent there has no entry."""
+        """Share of each object that the best camera sees in the twin itself; absent objects have no entry."""
         if self.base is not None:
             return self.base.shares_seen
         if not self.scene.cameras:
@@ -220,13 +223,13 @@ class Twin:
         return MappingProxyType({n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names})
 
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
-        """:attr:`state` with some objects elsewhere, at rest."""
+        """Return :attr:`state` at rest with some objects moved to other poses."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
 
     def upright(self, name: str, on: str) -> Pose:
-        """Rotation of an object before it is turned about z, at the origin: as in the twin if it stands so ``on`` it.
+        """Rotation of an object before it is rotated about z, at the origin: as in the twin if it stands so ``on`` it.
 
-        What leans elsewhere, or lies in something, stands as its own frame does, with the turn that it has.
+        An object that leans elsewhere, or lies in a container, is aligned with its own frame and keeps its yaw.
         """
         if name not in self.absent and self.carried.get(name) == (on,):
             return Pose.of(q=self.state.poses[name].q)
@@ -235,7 +238,7 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """Objects that move along with one: all that rest on nothing but it and other riders, in the scene's order."""
+        """Objects that move along with ``name``: those supported only by it and its other riders, in scene order."""
         if self.base is not None:
             return self.base.riders(name)
         return self._riders.get(name, ())
@@ -253,9 +256,9 @@ class Twin:
 
     @cached_property
     def places(self) -> tuple[Support, ...]:
-        """Levels on which new objects may stand: all of what is fixed, but for the floor under the furniture.
+        """Levels on which new objects may stand: those of all fixed objects, except the floor under the furniture.
 
-        Where nothing fixed is level, that of the object that most others stand on.
+        If no fixed object has a level, use those of the object that supports the most others.
         """
         found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
@@ -266,7 +269,7 @@ class Twin:
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """The shadow of an object, with what rides ``along`` on it, ``upright`` at the origin."""
+        """Shadow of an object together with the riders ``along``, ``upright`` at the origin."""
         if not along:
             return self[name].outline(upright)
         key = (name, tuple(upright.q.tolist()), tuple(along))
@@ -278,16 +281,16 @@ class Twin:
 
     @cached_property
     def ground(self) -> str:
-        """The object that most others stand on; raises :class:`TwinError` if none does."""
+        """Name of the object that supports the most others; raises :class:`TwinError` if there is none."""
         below = [name for found in self.carried.values() for name in found]
         names = [o.name for o in self.scene.objects if o.name in below]
         if not names:
-            raise TwinError(f"nothing in `{self.scene.name}` stands on anything")
+            raise TwinError(f"no object in `{self.scene.name}` stands on another")
         return max(names, key=below.count)
 
     @cached_property
     def task_objects(self) -> tuple[str, ...]:
-        """The objects that the goal is about, in its order."""
+        """Objects that the goal is about, in its order."""
         if self.goal is None:
             return ()
         names = {o.name for o in self.scene.objects}
@@ -296,7 +299,7 @@ class Twin:
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """Relations that the scene states and that are true in :attr:`state`; the base's are not judged again."""
+        """Relations stated by the scene that are true in :attr:`state`; those of the base are not evaluated again."""
         return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
 
     def _holds(self, text: str) -> bool:
@@ -317,12 +320,12 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
 
 
 def _away(item: SceneObject, k: int) -> Pose:
-    """Return where the k-th absent object is, turned as written: engines begin there, and it must meet no other."""
+    """Pose of the k-th absent object, oriented as written: engines start there, and it must not meet another."""
     return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
 
 
 def bare(scene: Scene) -> Scene:
-    """The scene without robots and without what is only seen: what settles."""
+    """Return the scene that is settled: without robots and without visual-only geometry."""
     objects = tuple(
         replace(o, links=tuple(replace(k, visuals=() if k.colliders else k.visuals) for k in o.links), variants=())
         for o in scene.objects

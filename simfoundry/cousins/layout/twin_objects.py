@@ -1,4 +1,4 @@
-"""The objects and robots of a twin where they rest, and measures of their shapes, each taken once."""
+"""Objects and robots of a twin at their rest poses, and cached measures of their shapes."""
 
 from __future__ import annotations
 
@@ -26,32 +26,33 @@ if TYPE_CHECKING:
 
 
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
-"""The column that keeps the base of a robot free whose model is not there [m]: the foot of a Panda reaches 0.155 m from
-its axis, those of smaller arms less; nothing that is placed hangs higher over a table."""
+"""Radius and height [m] of a column that reserves the base of a robot without a model: the foot of a Panda extends
+0.155 m from its axis, those of smaller arms less; no placed object hangs higher over a table.
+"""
 
 
 class TwinRobots:
-    """The robots of a twin, at their start: obstacles to what is placed, and arms that reach for it."""
+    """Robots of a twin in their start configuration, both as obstacles and as arms that reach."""
 
     def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
         self._scene, self.names = scene, names
 
     @cached_property
     def reach(self) -> ArmReach:
-        """The arms that act."""
+        """Reachability of the acting arms."""
         from simfoundry.robots.reach import ArmReach
 
         return ArmReach(self._scene, self.names)
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:
-        """The robots with a model, as objects."""
+        """Robots that have a model, as objects."""
         bodies = Bodies(self._scene)
         return tuple(bodies[name].item for name in bodies.robots)
 
     @cached_property
     def obstacles(self) -> tuple[SceneObject, ...]:
-        """Robots, or a column at the base of a robot whose model is missing."""
+        """The robots, each without a model replaced by a column at its base."""
         absent = [(left.path.partition(".")[2], left.X_WB) for left in self._scene.left_out if left.X_WB is not None]
         there = {item.name for item in self.items}
         return (*self.items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
@@ -63,16 +64,18 @@ class TwinRobots:
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot: its colliders, as visuals have hundreds of thousands of triangles."""
+        """Surface of each robot, from its collision geometry because visuals have hundreds of thousands of
+        triangles.
+        """
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
 
 @dataclass(frozen=True, eq=False)
 class TwinObject:
-    """An object of a twin where it rests, and measures of it, each taken once.
+    """An object of a twin at its rest pose, and cached measures of it.
 
-    ``item`` has its joints as at rest, and its frame at the origin.
+    ``item`` has its joints at their rest positions and its frame at the origin.
     """
 
     item: SceneObject
@@ -87,27 +90,27 @@ class TwinObject:
 
     @cached_property
     def shape(self) -> Hulls:
-        """Its convex parts, with its frame at the origin."""
+        """Convex parts of the object, with its frame at the origin."""
         return _shape(self.item.links, self.item.joints)
 
     @cached_property
     def placed(self) -> Hulls:
-        """Its convex parts at its pose."""
+        """Convex parts of the object at its pose."""
         return hulls(self.standing)
 
     @cached_property
     def shadows(self) -> tuple[Outline, ...]:
-        """Shadow of each of its links."""
+        """Shadow of each link of the object."""
         return link_shadows(self.placed)
 
     @cached_property
     def surface(self) -> VisibleSurface:
-        """Its visible surface, with its frame at the origin."""
+        """Visible surface of the object, with its frame at the origin."""
         return _surface(self.item.links, self.item.joints)
 
     @cached_property
     def levels(self) -> tuple[Support, ...]:
-        """Every level on which objects can stand, but for those that its joints move."""
+        """Levels on which objects can stand, except those on links that joints move."""
         return supports_of(self.item.name, self.placed, self._still_links())
 
     @cached_property
@@ -116,27 +119,29 @@ class TwinObject:
         return edges_of(self.placed, self._still_links())
 
     def outline(self, upright: Pose) -> Outline:
-        """Its shadow, ``upright`` at the origin."""
+        """Shadow of the object, ``upright`` at the origin."""
         key = tuple(upright.q.tolist())
         if key not in self.outlines:
             self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))
         return self.outlines[key]
 
     def support(self, near: float | None) -> Support | None:
-        """Its level at the height ``near`` [m], by default its largest; None if nothing of it is level."""
+        """Level at the height ``near`` [m], by default the largest; None if the object has no level."""
         if near not in self.supports:
             self.supports[near] = support_of(self.item.name, self.placed, near)
         return self.supports[near]
 
     def _still_links(self) -> list[int]:
-        """The links, by index, that none of its joints moves."""
+        """Indices of the links that no joint moves."""
         welded = weld_groups(self.item)
         return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
 
 
 @lru_cache(maxsize=512)
 def _shape(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> Hulls:
-    """The convex parts of an object at the origin; objects of a library serve in many twins by other names."""
+    """Convex parts of an object at the origin, cached because library objects are used in many twins under
+    other names.
+    """
     return hulls(SceneObject("", "", False, IDENTITY, links, joints))
 
 
@@ -152,7 +157,7 @@ def link_shadows(shape: Hulls) -> tuple[Outline, ...]:
 
 
 def _column(name: str, X_WB: Pose) -> SceneObject:
-    """Column that keeps the base of a robot free when its model is missing."""
+    """Return a column that reserves the base of a robot whose model is missing."""
     none = frozen_array(np.zeros(3), (3,))
     middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
     collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
@@ -161,7 +166,7 @@ def _column(name: str, X_WB: Pose) -> SceneObject:
 
 
 def joined(shapes: Sequence[Hulls]) -> Hulls:
-    """Several shapes as one, for its extents and its shadow; edges and faces are left out where there are several."""
+    """Merge several shapes into one, for its extents and shadow; edges and faces are dropped if there are several."""
     if len(shapes) == 1:
         return shapes[0]
     none = shapes[0].triangles[:0]

@@ -1,4 +1,4 @@
-"""Visibility of objects: the share of an object that is in a camera's picture and not occluded."""
+"""Visibility of objects: the share of an object that is inside a camera's image and not occluded."""
 
 from __future__ import annotations
 
@@ -22,10 +22,12 @@ CLOSEST = 0.01
 """Near plane of a camera [m]."""
 
 RAYS = 16
-"""Rays along each side of the rectangle around a thing in the picture: its share is found to about 3 %."""
+"""Number of rays along each side of an object's rectangle in the image; the share is then accurate to about 3 %."""
 
 SEGMENTS = 12
-"""Edges around what is round: its outline is off by 3.4 % of its radius at most, about as much as the rays tell."""
+"""Number of edges around a round shape: the outline's error is at most 3.4 % of the radius, about the rays'
+resolution.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +61,11 @@ class VisibleSurface:
         return cls(triangles, (low + high) / 2, float(np.linalg.norm(high - low)) / 2)
 
     def at(self, X_WS: Pose) -> VisibleSurface:
-        """The same elsewhere."""
+        """Return the surface at another pose."""
         return VisibleSurface(self.triangles, self.centre, self.radius, X_WS)
 
     def seen_from(self, camera: Camera) -> Array:
-        """The triangles in the camera's frame [m], shape (m, 3, 3)."""
+        """Triangles in the camera's frame [m], shape (m, 3, 3)."""
         return (camera.X_WC.inverse() @ self.X_WS).apply(self.triangles)
 
 
@@ -74,7 +76,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """Share of an object's silhouette that lies in a camera's picture and is not occluded by other objects."""
+    """Share of an object's silhouette that lies in a camera's image and is not occluded by other objects."""
     local = thing.seen_from(camera)
     corners = local.reshape(-1, 3)
     ahead = corners[corners[:, 2] > CLOSEST]
@@ -101,12 +103,12 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
 
 
 def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, depth: float) -> Array:
-    """The triangles, in the camera's frame, that may hide something in a rectangle of the plane z = 1 up to a depth."""
+    """Triangles, in the camera's frame, that may occlude part of a rectangle of the plane z = 1 up to a depth."""
     x, y, z = camera.X_WC.inverse().apply(other.X_WS.apply(other.centre))
     near = max(z - other.radius, CLOSEST)
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))
-    if z > other.radius + CLOSEST:  # the whole ball is ahead, so it may lie beside the cone of the rectangle
+    if z > other.radius + CLOSEST:  # entirely in front of the camera: may lie beside the rectangle's cone
         for at, k in ((x, 0), (y, 1)):
             is_before = at - low[k] * z < -other.radius * np.hypot(1, low[k])
             is_beyond = at - high[k] * z > other.radius * np.hypot(1, high[k])
@@ -115,7 +117,7 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
     local = other.seen_from(camera)
     z = local[:, :, 2]
     may_hide = (z.min(axis=1) < depth) & (z.max(axis=1) > CLOSEST)
-    whole = z.min(axis=1) > CLOSEST  # what reaches behind the camera may cover anything
+    whole = z.min(axis=1) > CLOSEST  # triangles that reach behind the camera may cover anything
     across = local[:, :, :2] / np.where(z > CLOSEST, z, 1.0)[:, :, None]
     apart = (across.max(axis=1) < low).any(axis=1) | (across.min(axis=1) > high).any(axis=1)
     return np.asarray(local[may_hide & ~(whole & apart)])

@@ -1,4 +1,4 @@
-"""What things of a kind look like, are made of and measure: tables, for appearance and for what is plausible."""
+"""Appearance and plausibility of object categories: tables of colors, materials, sizes and masses."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class VariantMaterial:
-    """A material: ``density`` [kg/m^3] from lowest to highest, ``friction``, ``restitution`` and colours that it has.
+    """A material: lowest and highest ``density`` [kg/m^3], ``friction``, ``restitution`` and possible colors.
 
-    Without ``colors`` it takes any that the thing may have.
+    Without ``colors`` it takes any color that the object may have.
     """
 
     density: tuple[float, float]
@@ -35,15 +35,16 @@ class VariantMaterial:
 
     @property
     def middle(self) -> float:
-        """The density to write [kg/m^3]."""
+        """Density to write to documents [kg/m^3]."""
         return round((self.density[0] + self.density[1]) / 2, -1)
 
 
 @dataclass(frozen=True)
 class CategoryPrior:
-    """Things of one kind: the longest side [m] and the mass [kg] from least to most, colours, materials of the body.
+    """Priors of one category: ranges of the longest side [m] and the mass [kg], colors, and materials of the body.
 
-    Densities, sizes and masses are of everyday things as one knows them, not from measurements: wide ranges on purpose.
+    Densities, sizes and masses are common-knowledge estimates of everyday objects, not measurements; the ranges are
+    wide on purpose.
     """
 
     size: tuple[float, float]
@@ -54,7 +55,9 @@ class CategoryPrior:
 
 @dataclass(frozen=True)
 class Priors:
-    """The tables of ``priors.yaml``: materials and categories by name, other words for categories, and any paint."""
+    """Tables of ``priors.yaml``: materials and categories by name, synonyms of categories, and the generic paint
+    colors.
+    """
 
     materials: Mapping[str, VariantMaterial]
     categories: Mapping[str, CategoryPrior]
@@ -65,13 +68,13 @@ class Priors:
 
 @cache
 def priors() -> Priors:
-    """Read the tables."""
+    """Load the tables."""
     text = files(__package__).joinpath("priors.yaml").read_text(encoding="utf-8")
     data = yaml.safe_load(text)
     colors = {name: tuple(rgb) for name, rgb in data["colors"].items()}
 
     def color_list(entries: list[Any] | str) -> tuple[Color, ...]:
-        """The colours that names of colours and palettes and RGB values stand for."""
+        """Resolve a palette name or a list of color names, palettes and RGB values to colors."""
         found: list[Any] = []
         for entry in [entries] if isinstance(entries, str) else entries:
             if isinstance(entry, str) and entry in data["palettes"]:
@@ -91,7 +94,7 @@ def priors() -> Priors:
 
 
 def category_prior(category: str) -> CategoryPrior | None:
-    """Return what is known of things of a category, as `blue_cup`; None of one that is not here."""
+    """Return the prior of a category such as `blue_cup`, or None if the category is unknown."""
     known = priors()
     for word in (category, *reversed(re.split(r"[_\d]+", category))):
         name = known.synonyms.get(word, word)
@@ -101,7 +104,7 @@ def category_prior(category: str) -> CategoryPrior | None:
 
 
 def same_kind(a: str, b: str) -> bool:
-    """Return whether two categories or names are of one kind: a `blue_cup` is a `cup`, and a `tumbler_2` too."""
+    """Return whether two names denote the same category: `blue_cup` and `tumbler_2` are both a `cup`."""
     one, other = category_prior(a), category_prior(b)
     if one is not None or other is not None:
         return one is other
@@ -110,11 +113,11 @@ def same_kind(a: str, b: str) -> bool:
 
 
 JITTER = 0.035
-"""Colours differ by up to this much from those of the tables, so that no two paints are the same."""
+"""Maximum deviation from the tables' colors, so that no two paints are identical."""
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Another colour for all of the body that has one colour now."""
+    """Change the color of all parts of the body that share its present color."""
     sort = category_prior(spec.category or spec.name)
     color = varied(
         _other(color_of(spec, component.parts[0]), sort.colors if sort is not None else priors().paints, rng), rng
@@ -123,7 +126,7 @@ def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Another material for the body, with its density, friction and one of its colours."""
+    """Change the material of the body, with its density, friction and one of its colors."""
     sort = category_prior(spec.category or spec.name)
     old = _material(spec, component.parts[0])
     choices = [name for name in (sort.materials if sort is not None else ()) if name != old]
@@ -139,7 +142,7 @@ def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 
 
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
-    """The asset with the colour of a component's first part, wherever its link has that, replaced."""
+    """Return the asset with the color of a component's first part replaced on all parts of the link that have it."""
     old = color_of(spec, component.parts[0])
     parts = parts_of(spec)
     if component.kind in ACCENTS:
@@ -150,21 +153,21 @@ def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
         if component.kind is Kind.BUNCH and key in component.parts:
             changed[key] = part.model_copy(update={"color": _shaded(color, color_of(spec, key), old)})
             continue
-        # What is attached and has a colour of its own keeps it.
+        # Attached parts with a color of their own keep it.
         same = key[0] == component.link and color_of(spec, key) == old
         changed[key] = part.model_copy(update={"color": color}) if same else part
     return _gathered(with_parts(spec, changed), component.link, color)
 
 
 def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
-    """The colour as much lighter or darker as a berry's own is than the first's."""
+    """Scale a color's lightness by the ratio of a part's own color to that of the first part."""
     share = 1.0 if own is None or first is None else float(np.clip(sum(own) / max(sum(first), 0.1), 0.6, 1.4))
     r, g, b = (round(min(v * share, 0.98), 3) for v in color)
     return r, g, b
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
-    """A colour that every part of a link has is said once, of the link."""
+    """Move a color shared by all parts of a link to the link."""
     body = spec.links[link]
     if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
         return spec
@@ -175,7 +178,7 @@ def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
 
 
 def color_of(spec: AssetSpec, key: Key) -> Color | None:
-    """The colour that a document gives a part: its own, its link's, or its material's."""
+    """Color of a part in a document: its own, its link's, or its material's."""
     body = spec.links[key[0]]
     part = body.parts[key[1]]
     material = part.material or body.material
@@ -193,7 +196,7 @@ def _material(spec: AssetSpec, key: Key) -> str | None:
 
 
 def _remade(spec: AssetSpec, old: str, name: str, stuff: VariantMaterial) -> AssetSpec:
-    """The asset with one material replaced everywhere; a link whose mass was given weighs by the new density."""
+    """Return the asset with one material replaced everywhere; a given link mass is scaled to the new density."""
     made = Material(density=stuff.middle, friction=stuff.friction, restitution=stuff.restitution)
     materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}
     links = {}
@@ -207,13 +210,13 @@ def _remade(spec: AssetSpec, old: str, name: str, stuff: VariantMaterial) -> Ass
 
 
 def _other(color: Color | None, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """One of the colours that is not near the present one."""
+    """Pick a color that is not close to the present one."""
     far = [c for c in palette if color is None or sum(abs(a - b) for a, b in zip(c, color, strict=True)) > 0.3]
     return (far or list(palette))[int(rng.integers(0, len(far or palette)))]
 
 
 def varied(color: Color, rng: Rng) -> Color:
-    """Nearly the same colour."""
+    """Perturb a color slightly."""
     r, g, b = (round(float(np.clip(v + rng.uniform(-JITTER, JITTER), 0.02, 0.98)), 3) for v in color)
     return r, g, b
 
@@ -223,11 +226,11 @@ def _shown(color: Color) -> str:
 
 
 ACCENTS = (Kind.HANDLE, Kind.KNOB, Kind.CAP, Kind.BAND)
-"""Components that have a colour for themselves."""
+"""Kinds of components that have a color of their own."""
 
 APPEARANCE = (
     (recolor, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
     (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
     (change_material, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
 )
-"""What can be done to which components."""
+"""Edits and the kinds of components that they apply to."""

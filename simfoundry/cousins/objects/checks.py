@@ -1,4 +1,4 @@
-"""What a thing must still be able to do: the part that it plays in the tasks of its scene."""
+"""Functional checks of a variant: it must still be able to play the object's part in the tasks of its scene."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ from simfoundry.worlds.settle import settle
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """``rests``: calls of OnTop and Inside that the thing takes part in; ``joints`` that must move; ``opening`` [m] of
-    the gripper that must take it, None where none must. ``others`` are the things that the calls name.
+    """Requirements on a variant: ``rests`` are the OnTop and Inside calls that involve the object, ``joints`` must
+    move, and ``opening`` [m] is that of the gripper that must grasp it, or None. ``others`` are the other objects in
+    the calls.
     """
 
     rests: tuple[Call, ...] = ()
@@ -49,7 +50,9 @@ class Needs:
 
 
 def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]) -> Needs:
-    """Return what the tasks ask of the object ``name``, and, without any, what it does in its scene as it is."""
+    """Collect the requirements of the tasks on the object ``name``; without tasks, those of its present role in the
+    scene.
+    """
     calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
@@ -75,26 +78,26 @@ def _wanted(goal: Any) -> Iterator[Call]:
 
 
 def _opening(spec: SceneSpec) -> float | None:
-    """The widest that a robot of the scene opens its gripper [m]; None if it is unknown."""
+    """Widest gripper opening of the scene's robots [m]; None if it is unknown."""
     return max((hand.opening for hand in hands_of(spec.robots) if hand.opening is not None), default=None)
 
 
 SCALE = (0.6, 1.6)
-"""Where nothing is known of its kind, the longest side may be so many times the twin's."""
+"""Allowed range of the longest side relative to the twin's, for objects of unknown category."""
 
 WEIGHT = (0.25, 4.0)
-"""And the mass so many times the twin's."""
+"""Allowed range of the mass relative to the twin's, for objects of unknown category."""
 
 MARGIN = 0.003
-"""Room that a gripper needs on top of the width that it takes [m]."""
+"""Clearance that a gripper needs in addition to the grasp width [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectBaseline:
-    """The thing that varies, lowered, and what it can do itself: only that is asked of its variants.
+    """The lowered twin and its own abilities; variants are held only to those.
 
-    ``rests`` are the calls that hold in its own trials, ``lacks`` those that do not, with why; ``opening`` [m] is that
-    of the gripper, None where the twin itself cannot be taken.
+    ``rests`` are the calls that hold in the twin's own trials, ``lacks`` describes those that do not; ``opening`` [m]
+    is that of the gripper, or None if the twin itself cannot be grasped.
     """
 
     item: SceneObject
@@ -106,7 +109,7 @@ class ObjectBaseline:
 
     @classmethod
     def of(cls, item: SceneObject, needs: Needs) -> ObjectBaseline:
-        """Try the twin itself."""
+        """Run the checks on the twin itself."""
         kept, lacks = [], []
         for call in needs.rests:
             outcome = _rests(call, item, needs)
@@ -120,19 +123,21 @@ class ObjectBaseline:
         width = grasp_width(solid(item))
         opening = needs.opening
         if opening is not None and width > opening - MARGIN:
-            lacks.append(f"the gripper opens {length(opening)}, and it is {length(width)} wide")
+            lacks.append(f"the gripper opens {length(opening)}, but the object is {length(width)} wide")
             opening = None
         return cls(item, needs, tuple(kept), tuple(lacks), steady.passed, opening)
 
 
 def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
-    """Yield why a lowered candidate is none, the cheap checks first; nothing where it passes all."""
+    """Yield the reasons for rejecting a lowered candidate, cheap checks first; nothing if it passes all."""
     yield from _open_meshes(item)
     yield from _size(item, twin.item, category_prior(category))
     if twin.opening is not None:
         width = grasp_width(solid(item))
         if width > twin.opening - MARGIN:
-            narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+            narrow = (
+                f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped anywhere"
+            )
             text = f"it {narrow}, and the gripper opens {length(twin.opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
     jam = moves(item, twin.item) if twin.needs.joints else None
@@ -153,7 +158,7 @@ def _rests(call: Call, item: SceneObject, needs: Needs) -> TrialOutcome:
 
 
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
-    """Every surface, seen or touched, is closed and encloses a volume."""
+    """Check that every surface, visual and collision, is closed and encloses a volume."""
     for link in item.links:
         pieces: list[Collider | Visual] = [*link.colliders, *link.visuals]
         for piece in pieces:
@@ -168,7 +173,9 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
 
 
 def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> Iterator[Reason]:
-    """Longest side, mass and density in the ranges of the kind, or near the twin's where that is not known."""
+    """Check the longest side, mass and density against the category's ranges, or against the twin's if it is
+    unknown.
+    """
     low, high = bounds(item)
     side = float((high - low).max())
     weight = sum(link.mass for link in item.links)
@@ -177,36 +184,36 @@ def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> I
     sizes = sort.size if sort is not None else (SCALE[0] * before[0], SCALE[1] * before[0])
     weights = sort.mass if sort is not None else (WEIGHT[0] * before[1], WEIGHT[1] * before[1])
     if not sizes[0] <= side <= sizes[1]:
-        text = f"it is {length(side)} long, and such things are {length(sizes[0])} to {length(sizes[1])}"
+        text = f"it is {length(side)} long, but objects of its kind are {length(sizes[0])} to {length(sizes[1])}"
         yield Reason("size", text, {"side": side, "least": sizes[0], "most": sizes[1]})
     if not weights[0] <= weight <= weights[1]:
-        text = f"it weighs {weight:.3g} kg, and such things weigh {weights[0]:g} to {weights[1]:g} kg"
+        text = f"it weighs {weight:.3g} kg, but objects of its kind weigh {weights[0]:g} to {weights[1]:g} kg"
         yield Reason("mass", text, {"mass": weight, "least": weights[0], "most": weights[1]})
     density = weight / float(np.prod(high - low))
     if not LIGHTEST / 4 <= density <= HEAVIEST:
-        yield Reason("mass", f"its bounds hold {density:.3g} kg/m^3", {"density": density})
+        yield Reason("mass", f"its mean density within its bounds is {density:.3g} kg/m^3", {"density": density})
 
 
 TABLE = "trial_table"
 GRAVITY = frozen_array([0.0, 0.0, -9.81])
 
 STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
-"""A trial ends when nothing moves faster than this [m/s] between two looks, or after so many seconds."""
+"""Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval of the checks [s]."""
 
 OPENED = 0.95
-"""How far joints are opened for a trial, as a share of their range."""
+"""Joint opening in a trial, as a share of the range."""
 
 STEPS = 9
-"""Positions at which a joint's way is looked at."""
+"""Number of joint positions sampled to detect jamming."""
 
 DEEPEST = 0.001
-"""Links of one thing that interpenetrate deeper than this [m] jam."""
+"""Links of one object that interpenetrate deeper than this [m] are jammed."""
 
 LEAST_RANGE = 0.75
-"""Share of the twin's range that a joint keeps."""
+"""Minimum share of the twin's joint range that a variant keeps."""
 
 TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
-"""Ways to put a thing into another: as it is, across, on its end."""
+"""Orientations in which an object is put into another: unchanged, rotated by 90 degrees, on end."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +225,7 @@ class TrialOutcome:
 
 
 def stands(item: SceneObject) -> TrialOutcome:
-    """Return whether a thing put on a table stays there, and does not topple when it is tilted a little."""
+    """Test that an object put on a table stays there and does not topple if it is tilted slightly."""
     placed = _on_table(item)
     if isinstance(placed, TrialOutcome):
         return placed
@@ -228,7 +235,7 @@ def stands(item: SceneObject) -> TrialOutcome:
 
 
 def rests(call: Call, things: Mapping[str, SceneObject]) -> TrialOutcome:
-    """Return whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` was let go there, in any of a few ways.
+    """Test that ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` is released there, in one of a few orientations.
 
     ``things`` are ``a`` and ``b`` by name; the joints of ``b`` are opened.
     """
@@ -277,7 +284,7 @@ def _let_go(call: Call, a: SceneObject, b: SceneObject) -> TrialOutcome:
 
 
 def _calmed(world: MujocoWorld) -> SceneState:
-    """The state once nothing moves any more, or after :data:`LONGEST` seconds."""
+    """Simulate until nothing moves any more, for at most :data:`LONGEST` seconds; return the state."""
     steps = max(1, round(LOOK / world.timestep))
     for _ in range(round(LONGEST / LOOK)):
         world.step(steps)
@@ -288,9 +295,9 @@ def _calmed(world: MujocoWorld) -> SceneState:
 
 
 def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
-    """Return why a joint no longer moves as the twin's does: its range, or what it meets on its way.
+    """Return the reason if a joint no longer moves like the twin's: a reduced range, or a collision along its path.
 
-    None where all do.
+    None if all joints pass.
     """
     for joint in item.joints:
         own = next((j for j in twin.joints if j.name == joint.name), None)
@@ -298,7 +305,7 @@ def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
             continue
         span, before = (limits[1] - limits[0] for limits in (joint.limits, own.limits))
         if span < LEAST_RANGE * before:
-            text = f"`{joint.name}` moves {span:.3f}, and {before:.3f} in the twin"
+            text = f"`{joint.name}` has a range of {span:.3f}, but {before:.3f} in the twin"
             return Reason("joint", text, {"range": span, "twin": before})
     deepest, where = _jam(item)
     if deepest > DEEPEST and deepest > _jam(twin)[0] + 1e-4:
@@ -308,7 +315,9 @@ def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
 
 
 def _jam(item: SceneObject) -> tuple[float, str]:
-    """The deepest overlap of two links of a thing [m] on the way of any of its joints, and where that is."""
+    """Deepest penetration between two links of an object [m] over the range of each joint, and the pose where it
+    occurs.
+    """
     import mujoco
 
     worst, where = 0.0, "every joint closed"
@@ -332,7 +341,7 @@ def _jam(item: SceneObject) -> tuple[float, str]:
 
 
 def _opened(item: SceneObject) -> SceneObject:
-    """The thing with its joints at the far end of their range."""
+    """Return the object with its joints opened for a trial."""
     joints = tuple(
         replace(j, position=j.limits[0] + OPENED * (j.limits[1] - j.limits[0])) if j.limits is not None else j
         for j in item.joints

@@ -1,4 +1,4 @@
-"""The functional components of a thing: its body, handles, lid, drawers, found by names, joints and geometry."""
+"""Functional components of an object (body, handles, lid, drawers), found by names, joints and geometry."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, SphereShape
 
 SLIM = 0.012
-"""A rod of at most this radius [m] that stands off from the body is part of a handle."""
+"""Maximum radius of a rod that protrudes from the body for it to be part of a handle [m]."""
 
 TOUCH = 0.003
-"""Parts of one handle come this close to each other [m], as boxes."""
+"""Maximum distance between the bounding boxes of parts of one handle [m]."""
 
 MANY = 5
-"""So many equal balls are a bunch."""
+"""Minimum number of equal balls that form a bunch."""
 
 
 class Kind(StrEnum):
     """The purpose of a component."""
 
-    VESSEL = "vessel"  # a turned body with a cavity
-    TURNED = "turned"  # a turned body without one
-    CRATE = "crate"  # a floor with walls of boards
-    STACK = "stack"  # discs one on the other
+    VESSEL = "vessel"  # solid of revolution with a cavity
+    TURNED = "turned"  # solid of revolution without a cavity
+    CRATE = "crate"  # a floor with walls made of boards
+    STACK = "stack"  # disks stacked on each other
     BUNCH = "bunch"  # many equal balls
-    BODY = "body"  # any other
+    BODY = "body"  # any other body
     LID = "lid"
     DRAWER = "drawer"
     HANDLE = "handle"
@@ -40,11 +40,11 @@ class Kind(StrEnum):
     STEM = "stem"
     CAP = "cap"
     BASE = "base"
-    PLATE = "plate"  # what a thing is put on: the burners of a stove
+    PLATE = "plate"  # a surface to put objects on, such as the burners of a stove
 
 
 MAIN = (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)
-"""Kinds of the body itself."""
+"""Kinds that a body can have."""
 
 WORDS = {
     Kind.HANDLE: ("handle", "grip", "post", "bail", "lug", "tab"),
@@ -56,14 +56,14 @@ WORDS = {
     Kind.BASE: ("foot", "feet", "base"),
     Kind.PLATE: ("burner", "hob"),
 }
-"""Words in the names of parts."""
+"""Words in part names that identify a kind."""
 
 BOARDS = {"floor", "bottom", "front", "back", "left", "right", "side", "wall"}
 
 
 @dataclass(frozen=True)
 class Component:
-    """A component and the parts that it is made of, all of one link."""
+    """A component and its parts, all of which belong to one link."""
 
     name: str
     kind: Kind
@@ -71,12 +71,12 @@ class Component:
 
     @property
     def link(self) -> str:
-        """The link that its parts are of."""
+        """Link to which the parts belong."""
         return self.parts[0][0]
 
 
 def components(spec: AssetSpec) -> tuple[Component, ...]:
-    """The components of an asset: of each link first its body, then what is attached to it.
+    """Find the components of an asset: for each link its body, followed by the attached components.
 
     Names are unique: ``body``, ``drawer``, ``drawer_handle``, ``handle_2``.
     """
@@ -104,7 +104,7 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
 
 
 def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
-    """Return what a part is beside the body; None where it belongs to that."""
+    """Kind of a part that is attached to the body, or None if it belongs to the body."""
     words = set(re.split(r"[_\d]+", key[1])) - {""}
     if len(own) == 1:
         return None
@@ -123,12 +123,12 @@ def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None
 
 
 def _is_called(words: set[str], kind: Kind, names: set[str]) -> bool:
-    """Return whether a part is of a kind by the words of its name; `stem_side` is a side, and no stem."""
+    """Return whether the words of a part's name denote a kind; `stem_side` denotes a side, not a stem."""
     return words <= names if kind is Kind.STEM else bool(words & names)
 
 
 def _moving(spec: AssetSpec, link: str) -> Kind | None:
-    """Return what a link is by the joint that carries it."""
+    """Kind of a link according to the joint that moves it."""
     joint = next((j for j in spec.joints.values() if j.child == link), None)
     if joint is None:
         return None
@@ -157,7 +157,7 @@ def _coaxial(part: PartSpec) -> bool:
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """The keys in groups of what touches; only handles are made of several parts."""
+    """Group the keys of touching parts; only handles consist of several parts."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

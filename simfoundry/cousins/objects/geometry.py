@@ -1,7 +1,7 @@
-"""A thing stretched along its axes: parts, frames of links and ways of joints together, so that all still fit.
+"""Geometric edits: stretch an object along its axes, with its parts, link frames and joint travel kept consistent.
 
-All links must be turned alike at rest (no joint turns its child's frame), as in furniture; otherwise only a factor that
-is the same along all three axes keeps them together.
+All links must have the same orientation at rest (no joint rotates its child's frame), as in furniture; otherwise only a
+uniform factor keeps them together.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 SQUARE = 1e-6
-"""A rotation whose matrix is this near to a permutation turns boxes onto the axes."""
+"""Tolerance between a rotation matrix and a permutation for a rotation that maps boxes onto the axes."""
 
 
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
-    """The asset with its x, y and z multiplied by ``factor``, shape (3,), the nearest that its shapes allow.
+    """Return the asset with its x, y and z scaled by ``factor``, shape (3,), or by the nearest factor its shapes allow.
 
-    What is round about z keeps x and y alike, a ball stays a ball; walls grow with the rest.
+    Parts round about z keep x and y equal and balls stay balls; wall thickness scales with the rest.
     """
     f = allowed(spec, factor)
     out = each(spec, lambda _, part: stretched_part(part, f))
@@ -49,7 +49,7 @@ def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
 
 
 def allowed(spec: AssetSpec, factor: Array) -> Array:
-    """The factor that the shapes of an asset allow, shape (3,)."""
+    """Nearest factor to ``factor`` that the shapes of an asset allow, shape (3,)."""
     f = np.array(factor, dtype=np.float64)
     turned = any(not pose(joint.pose).is_identity and _turns(joint) for joint in spec.joints.values())
     if turned or is_ball(spec) or any(p.mesh is not None for p in parts_of(spec).values()):
@@ -60,7 +60,7 @@ def allowed(spec: AssetSpec, factor: Array) -> Array:
 
 
 def stretched_part(part: PartSpec, f: Array) -> PartSpec:
-    """One part with the axes of its link multiplied by ``f``, shape (3,)."""
+    """Return a part with the axes of its link scaled by ``f``, shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
         return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
@@ -77,7 +77,7 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
 
 
 def _scaled(shape: Shape | None, f: Array) -> Shape:
-    """A shape with its own axes multiplied by ``f``, shape (3,)."""
+    """Return a shape with its own axes scaled by ``f``, shape (3,)."""
     x, y, z = (float(v) for v in f)
     across = float(np.sqrt(x * y))
     match shape:
@@ -101,7 +101,7 @@ def _scaled(shape: Shape | None, f: Array) -> Shape:
 
 
 def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Array) -> PartSpec:
-    """A cylinder or capsule that lies across the axes: its ends go where the stretch takes them."""
+    """Scale a cylinder or capsule that is not aligned with the axes by moving its end points."""
     along = axis * f
     length = float(np.linalg.norm(along))
     thick = float(np.sqrt(f.prod() / length))
@@ -124,13 +124,13 @@ def _turns(joint: JointSpec) -> bool:
 
 
 def is_ball(spec: AssetSpec) -> bool:
-    """Return whether an asset is nothing but one ball."""
+    """Return whether an asset consists of a single ball."""
     every = list(parts_of(spec).values())
     return len(every) == 1 and isinstance(every[0].shape, SphereShape)
 
 
 def _round_about_z(part: PartSpec) -> bool:
-    """Return whether it would no longer be what it is with another factor in x than in y."""
+    """Return whether a part would lose its shape if x and y were scaled differently."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):
         return rod(part) is None
@@ -144,21 +144,21 @@ def _is_square(rotation: Array) -> bool:
 
 
 Edit = tuple[AssetSpec, str]
-"""The changed asset, and what was changed, for people."""
+"""The changed asset, and a description of the change."""
 
 Rng = np.random.Generator
 
 LEAST, MOST = 0.74, 1.36
-"""Factors of a stretch along each axis; what then is no longer of its kind is refused by its size and mass."""
+"""Range of the stretch factor along each axis; results outside their category are rejected by size and mass."""
 
 ATTACHED = 0.6
-"""What is farther from the axis than this share of the body's radius hangs on its wall."""
+"""Parts farther from the axis than this share of the body's radius are attached to its wall."""
 
 
 def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
-    """The whole thing longer, wider, higher; of the loose links too, so that they fit."""
+    """Stretch the whole object in length, width and height, including loose links so that they fit."""
     parts = list(parts_of(spec).values())
-    if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls for one game differ little
+    if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls of one game differ little
         factor = np.full(3, rng.uniform(0.94, 1.06))
     else:
         factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
@@ -167,14 +167,14 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
 
 
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A wall that leans more or less; where a lid or a part must fit the rim, the rim stays."""
+    """Change the slope of a wall; the rim is unchanged if a lid or another part must fit it."""
     foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
 
 
 def belly(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A wall that swells or is waisted between foot and rim."""
+    """Bulge or waist a wall between foot and rim."""
     by = rng.choice([-1.0, 1.0]) * rng.uniform(0.06, 0.2)
     curve = 1.0 + by * np.sin(np.linspace(0.0, np.pi, 7))
     words = f"{'swelled' if by > 0 else 'waisted'} by {abs(by):.0%}"
@@ -182,7 +182,7 @@ def belly(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def lip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A rim that bends outwards."""
+    """Bend the rim outward."""
     if len(spec.links) > 1:
         return None
     out = rng.uniform(0.0025, 0.006)
@@ -190,7 +190,7 @@ def lip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A thicker or thinner wall and floor."""
+    """Change the thickness of the wall and floor."""
     more = rng.uniform(-0.35, 0.6)
     return _reprofiled(
         spec, component, lambda p: thickened(p, more * p.thinnest), f"wall {'+' if more > 0 else ''}{more:.0%}"
@@ -198,14 +198,14 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A handle, knob, cap or stem with other sizes; what holds it on stays where it is."""
+    """Change the sizes of a handle, knob, cap or stem; its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
     parts = parts_of(spec)
     body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
     out = outward(body, [parts[k] for k in component.parts])
     if out is None:
         return None
-    # The handle grows away from the body: along `out` by the reach, across it by the span.
+    # The handle extends from the body: scaled along `out` by the reach and across it by the span.
     factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
     anchor = _anchor([parts[k] for k in component.parts], out)
     changed = dict(parts)
@@ -219,7 +219,7 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def outward(body: list[PartSpec], handle: list[PartSpec]) -> Array | None:
-    """The axis, with its sign, along which a component stands off from the rest of its link, shape (3,)."""
+    """Signed axis along which a component protrudes from the rest of its link, shape (3,)."""
     if not body:
         return None
     low, high = bounds(body)
@@ -234,7 +234,7 @@ def outward(body: list[PartSpec], handle: list[PartSpec]) -> Array | None:
 
 
 def _anchor(handle: list[PartSpec], out: Array) -> Array:
-    """The point of a component where it meets the body: its end against ``out``, in its middle across [m]."""
+    """Attachment point of a component: its end opposite to ``out``, centered across [m]."""
     low, high = bounds(handle)
     k = int(np.abs(out).argmax())
     anchor = (low + high) / 2
@@ -243,7 +243,7 @@ def _anchor(handle: list[PartSpec], out: Array) -> Array:
 
 
 def _reprofiled(spec: AssetSpec, component: Component, change: object, words: str) -> Edit | None:
-    """The asset with the profile of a component's lathe changed, and all that hangs on it moved along."""
+    """Return the asset with the profile of a component's lathe changed, and all attached parts moved along."""
     assert callable(change)
     key = lathe_of(spec, component)
     if key is None:
@@ -255,14 +255,16 @@ def _reprofiled(spec: AssetSpec, component: Component, change: object, words: st
 
 
 def lathe_of(spec: AssetSpec, component: Component) -> Key | None:
-    """The turned part of a component, the highest of several."""
+    """Key of the component's solid of revolution, the highest if there are several."""
     parts = parts_of(spec)
     lathes = [(Profile.of(shape).height, k) for k in component.parts if isinstance(shape := parts[k].shape, LatheShape)]
     return max(lathes)[1] if lathes else None
 
 
 def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
-    """The asset with another profile for one lathe; what hangs on its wall or stands on it goes along."""
+    """Return the asset with another profile for one lathe; parts attached to its wall or standing on it are moved
+    along.
+    """
     parts = parts_of(spec)
     base = at(parts[key])[2]
     changed = dict(parts)
@@ -276,7 +278,7 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
 
 
 def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float) -> dict[Key, PartSpec]:
-    """Parts of one component where the wall that they hang on has moved."""
+    """Move the parts of one component with the wall that they are attached to."""
     if not parts:
         return {}
     low, _ = bounds(list(parts.values()))
@@ -301,7 +303,7 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
         elif off > ATTACHED * float(old.radius(p[2] - base)):
             way = np.array([p[0], p[1], 0.0]) / off
             own = delta(part)
-            if is_radial(part) and size is not None:  # it reaches from the wall, which moved by `own`, to the grip
+            if is_radial(part) and size is not None:  # it extends from the wall, which moved by `own`, to the grip
                 part = with_rod(part, size[0], max(size[1] + together - own, 0.002))
                 out[key] = moved(part, p + way * (own + together) / 2 + rise)
             else:
@@ -326,4 +328,4 @@ GEOMETRY = (
     (thicken, (Kind.VESSEL,)),
     (resize, (Kind.HANDLE, Kind.KNOB, Kind.STEM, Kind.CAP)),
 )
-"""What can be done to which components."""
+"""Edits and the kinds of components that they apply to."""

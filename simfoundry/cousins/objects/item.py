@@ -1,4 +1,4 @@
-"""The thing that varies, as an asset document whatever it is in its scene, and as a lowered object."""
+"""The object to be varied, as an asset document (whatever its form in the scene) and as a lowered object."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from simfoundry.spec.models.variants import variant_names, variant_of
 from simfoundry.spec.yaml.write import to_yaml
 
 LINK = "body"
-"""What the one link of a shape or mesh is called."""
+"""Name of the only link of a shape or mesh."""
 
 _OF_BODY = tuple(BodySpec.model_fields)
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectAsset:
-    """A thing: its ``spec``, flat, with every file it names absolute in ``files`` by the name that the spec has for it.
+    """An object as an asset: a flat ``spec``, and the absolute path of every file that it names in ``files``.
 
-    ``name`` is that of the object in its scene, or of the asset; ``category`` says what it is; ``source`` names where
-    it comes from, for people.
+    ``name`` is that of the object in its scene, or of the asset; ``category`` is its kind; ``source`` is a
+    human-readable origin.
     """
 
     name: str
@@ -44,7 +44,7 @@ class ObjectAsset:
 
 
 def item_of(scene: Loaded, name: str) -> ObjectAsset:
-    """The object ``name`` of a checked scene document; a KeyError lists the names there are."""
+    """Return the object ``name`` of a checked scene document; a KeyError lists the existing names."""
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
         raise KeyError(f"no object {name!r}; there are: {', '.join(scene.spec.objects) or 'none'}")
@@ -60,7 +60,7 @@ def item_of(scene: Loaded, name: str) -> ObjectAsset:
 
 
 def item_of_asset(asset: Loaded) -> ObjectAsset:
-    """A checked asset document as the thing that it describes."""
+    """Return the object that a checked asset document describes."""
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
@@ -70,7 +70,7 @@ def item_of_asset(asset: Loaded) -> ObjectAsset:
 
 
 def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> ObjectAsset:
-    """A mesh file as a thing of one part."""
+    """Return a mesh file as an object with one part."""
     link = LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})
     spec = AssetSpec(
         simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
@@ -79,7 +79,7 @@ def item_of_mesh(path: Path, name: str, category: str, material: Material, scale
 
 
 def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> ObjectAsset:
-    """A primitive or a mesh of a scene as an asset of one link."""
+    """Return a primitive or mesh of a scene as an asset with one link."""
     body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
     files: dict[str, Path] = {}
     if written.shape is not None:
@@ -101,9 +101,10 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapp
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:
-    """The thing called ``name`` as simulators get it, at the origin; ``folder`` holds the files that the spec names.
+    """Lower the object ``name`` at the origin, as simulators receive it; ``folder`` holds the files that the spec
+    names.
 
-    What is lowered is the canonical text, so that what is checked is what will be written. Raises :class:`SpecError`.
+    The canonical text is lowered, so that the checked document equals the written one. Raises :class:`SpecError`.
     """
     file = f"{spec.name}.asset.yaml"
     asset = load(folder / file, text=to_yaml(spec), root=folder)
@@ -117,7 +118,7 @@ def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:
-    """Lay copies of mesh files into a folder by their names there, each with the materials and textures it names."""
+    """Copy mesh files into a folder under their given names, each with its materials and textures."""
     for name, path in files.items():
         target = folder / name
         if target.exists():

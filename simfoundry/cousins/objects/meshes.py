@@ -1,4 +1,4 @@
-"""Meshes deformed smoothly: every point goes one to one to another, so that what was closed stays closed."""
+"""Smooth mesh deformations: the mapping of points is one-to-one, so that closed meshes stay closed."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 
 FOLDER = "meshes"
-"""Where the meshes of variants lie, beside their documents."""
+"""Folder for the meshes of variants, beside their documents."""
 
 
 def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """The asset with all its meshes deformed alike: the new spec, the new files by name, and what was changed.
+    """Deform all meshes of an asset alike; return the new spec, the new files by name, and a description of the change.
 
     Raises :class:`MeshError` for a mesh with several textures, which one OBJ cannot hold.
     """
@@ -40,7 +40,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
         read = joined(read_parts(files[part.mesh], part.scale))
         if read is None:
             message = f"{part.mesh} has several textures, which one OBJ cannot hold"
-            raise MeshError("SF301", message, "join them in one picture")
+            raise MeshError("SF301", message, "merge them into one image")
         vertices = change(read.vertices, *span)
         mesh = Mesh(frozen_array(vertices), read.faces, read.uv, read.texture)
         written = obj_with_material(mesh)
@@ -51,7 +51,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
 
 def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
-    """The pieces of a mesh file as one; None where they have different textures."""
+    """Merge the pieces of a mesh file; return None if they have different textures."""
     if len(parts) == 1:
         return parts[0]
     if any(p.texture is not None for p in parts):
@@ -63,7 +63,9 @@ def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
 
 
 class _Deformation:
-    """x and y times a smooth positive function of the height, z times a constant: its Jacobian is positive."""
+    """Scaling of x and y by a smooth positive function of the height, and of z by a constant; its Jacobian is
+    positive.
+    """
 
     def __init__(self, factor: Array, taper: float, belly: float) -> None:
         self.factor, self.taper, self.belly = factor, taper, belly
@@ -73,7 +75,7 @@ class _Deformation:
         across = 1 + self.taper * (share - 0.5) + self.belly * np.sin(np.pi * share)
         out = vertices * self.factor
         out[:, :2] *= across[:, None]
-        out[:, 2] += low - low * self.factor[2]  # the foot stays where it is
+        out[:, 2] += low - low * self.factor[2]  # the base stays in place
         return np.asarray(out)
 
 
@@ -95,28 +97,30 @@ def _rgb(part: MeshPart) -> tuple[float, float, float] | None:
 
 
 RINGS, AROUND = 33, 14
-"""Rings of a tube along its path, and corners of each: facets of 2 mm on the handle of a mug, which shading smooths."""
+"""Number of rings along a tube's path and of corners per ring: facets of 2 mm on a mug's handle, hidden by shading."""
 
 COLLIDERS = 7
-"""Capsules that a tube collides as; on a half circle of 30 mm they depart from it by 0.8 mm."""
+"""Number of capsules for a tube's collision geometry; on a half circle of 30 mm radius they deviate from it by
+0.8 mm.
+"""
 
 SUNK = 0.004
-"""How far the axis of a tube goes on into the body [m], so that its end meets a wall that leans or bends all around.
-What then would come out on the other side is drawn back into the wall.
+"""Extension of a tube's axis into the body [m], so that its end meets an inclined or curved wall all around. Points
+that would protrude on the other side are pulled back into the wall.
 """
 
 IN_WALL = 0.5
-"""Share of a wall that the ends of a handle go into."""
+"""Share of a wall's thickness that the ends of a handle extend into."""
 
 LOOK = "handle_look"
-"""The part that is seen; what it touches with are capsules."""
+"""Name of the visual part; the collision parts are capsules."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A bar on two posts: where it meets the body, ``feet`` [m], shape (2, 3), the unit vector ``out`` that it stands
-    off along, how far its axis does, ``reach`` [m], and the ``radius`` of its bar [m]. ``wall`` is the profile of what
-    is turned, with the height [m] at which that stands in the link; None where the handle is on no such body.
+    """A bar on two posts: its attachment points ``feet`` [m], shape (2, 3), the unit vector ``out`` along which it
+    protrudes, the distance of its axis, ``reach`` [m], and the ``radius`` of the bar [m]. ``wall`` is the profile of
+    the solid of revolution and its height [m] in the link, or None if the handle is on another body.
     """
 
     feet: Array
@@ -127,7 +131,7 @@ class Loop:
 
     @classmethod
     def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
-        """The loop that a component of rods is; None of any other, as of a knob or of two lugs."""
+        """Return the loop formed by a component of rods; None for any other component, such as a knob or two lugs."""
         parts = parts_of(spec)
         own = [parts[k] for k in component.parts]
         rods = [(part, size) for part in own if (size := rod(part)) is not None]
@@ -145,11 +149,11 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """Return how far the ends may go into the body [m]."""
+        """Depth by which the ends may extend into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Points [m], shape (n, 3), those that are deeper than the wall's middle drawn out to it."""
+        """Return points [m], shape (n, 3), with those deeper than the middle of the wall moved out to it."""
         if self.wall is None:
             return points
         profile, base = self.wall
@@ -170,7 +174,7 @@ def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
 
 
 def _out(spec: AssetSpec, component: Component, own: list[PartSpec], body: list[PartSpec]) -> Array | None:
-    """The way in which a handle stands off: from the axis of what is turned, else along the nearest axis."""
+    """Direction in which a handle protrudes: from the axis of a solid of revolution, else along the nearest axis."""
     turned = any(c.kind is Kind.VESSEL and c.link == component.link for c in components(spec))
     middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
     off = float(np.linalg.norm(middle))
@@ -178,10 +182,11 @@ def _out(spec: AssetSpec, component: Component, own: list[PartSpec], body: list[
 
 
 def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """The asset with its loop handles as smooth tubes of one drawn form: the spec, the new files, and what they became.
+    """Replace the loop handles of an asset by smooth tubes of one sampled form; return the spec, new files and a
+    description.
 
-    ``only`` names the components that may change, by default any. Handles of one asset are alike. Without such a handle
-    the asset is as it was, and the text is empty.
+    ``only`` names the components that may change, by default all. Handles of one asset are alike. Without a loop
+    handle, the asset is unchanged and the text is empty.
     """
     name = list(FORMS)[int(rng.integers(len(FORMS)))]
     broad, flat = rng.uniform(0.95, 1.5), rng.uniform(0.8, 1.05)
@@ -202,7 +207,7 @@ def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, di
 
 
 def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Points along the axis of a tube [m], shape (RINGS, 3), from one foot to the other, evenly spaced."""
+    """Evenly spaced points along the axis of a tube [m], shape (RINGS, 3), from one foot to the other."""
     t = np.linspace(0.0, 1.0, 201)
     along, off = form(t)
     start, end = loop.feet - SUNK * loop.out
@@ -213,14 +218,16 @@ def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
 
 
 def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
-    """A closed tube along a path in a plane, elliptic: ``broad`` across the plane and ``flat`` in it [m]."""
+    """Closed tube along a planar path, with an elliptic cross section: ``broad`` across the plane and ``flat`` in it
+    [m].
+    """
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     across = np.cross(loop.feet[1] - loop.feet[0], loop.out)
     across /= np.linalg.norm(across)
     inward = np.cross(tangent, across)
     angle = np.arange(AROUND) * (2 * np.pi / AROUND)
-    # A little broader at its feet, where a potter presses it on.
+    # Slightly broader at its feet, where a potter would press it on.
     thick = 1 + 0.25 * np.abs(np.linspace(-1, 1, len(path))) ** 4
     rings = path[:, None] + thick[:, None, None] * (
         broad * np.cos(angle)[:, None] * across + flat * np.sin(angle)[:, None] * inward[:, None]
@@ -246,8 +253,8 @@ def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
 
 
 def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, radius: float, mesh: str) -> AssetSpec:
-    """The asset with capsules along a path, and a mesh that is seen, in the place of a handle's rods."""
-    # The round ends of the first and the last capsule go no deeper into the body than the tube does.
+    """Replace the rods of a handle by capsules along a path and a visual mesh."""
+    # The round ends of the first and last capsule extend no deeper into the body than the tube.
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     short = SUNK + max(radius - loop.sunk, 0.0)
     spots = np.linspace(short, way[-1] - short, COLLIDERS + 1)
@@ -271,24 +278,24 @@ def _half_round(t: Array) -> tuple[Array, Array]:
 
 
 def _rounded_corners(t: Array) -> tuple[Array, Array]:
-    """A superellipse: nearly straight along the grip, with round corners."""
+    """Superellipse: nearly straight along the grip, with round corners."""
     c, s = np.cos(np.pi * t), np.sin(np.pi * t)
     return (1 - np.sign(c) * np.abs(c) ** 0.5) / 2, np.abs(s) ** 0.5
 
 
 def _ear(t: Array) -> tuple[Array, Array]:
-    """Farther out near the end, as an ear is at its top."""
+    """Ear shape: farther out near the end."""
     return (1 - np.cos(np.pi * t)) / 2, 1.05 * np.sin(np.pi * t) * (0.62 + 0.38 * t**1.5) / 0.84
 
 
 def _drop(t: Array) -> tuple[Array, Array]:
-    """Farther out near its beginning."""
+    """Drop shape: farther out near the beginning."""
     along, off = _ear(1 - t)
     return 1 - along, off
 
 
 def _ring(t: Array) -> tuple[Array, Array]:
-    """More than half a circle: it bulges beyond its feet."""
+    """More than half a circle, bulging beyond its feet."""
     angle = np.pi * (1.3 * t - 0.15)
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 
@@ -306,4 +313,6 @@ FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "ring-shaped": _ring,
     "strap": _strap,
 }
-"""Paths of tubes by name: for shares of the path how far along from foot to foot, and how far out, from 0 to 1."""
+"""Tube paths by name: functions of the path parameter that give the position between the feet and the distance out,
+each from 0 to 1.
+"""

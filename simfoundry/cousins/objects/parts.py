@@ -1,4 +1,4 @@
-"""Edits of an asset document part by part; nothing is changed in place."""
+"""Edits of an asset document at the level of parts; every edit returns a new document."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from simfoundry.spec.models.base import (
 )
 
 Key = tuple[str, str]
-"""A part, by its link and its name."""
+"""Identifier of a part: the names of its link and of itself."""
 
 Parts = Mapping[Key, PartSpec]
 
 
 def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
-    """Every part of every link."""
+    """Return every part of every link."""
     return {(link, name): part for link, body in spec.links.items() for name, part in body.parts.items()}
 
 
 def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
-    """The spec with these parts and no others, each in its link, in their order."""
+    """Return the spec with exactly these parts, each in its link, in the given order."""
     links = {
         name: link.model_copy(update={"parts": {p: part for (owner, p), part in parts.items() if owner == name}})
         for name, link in spec.links.items()
@@ -44,27 +44,27 @@ def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
 
 
 def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetSpec:
-    """The spec with every part as ``change`` has it."""
+    """Return the spec with ``change`` applied to every part."""
     return with_parts(spec, {key: change(key, part) for key, part in parts_of(spec).items()})
 
 
 def moved(part: PartSpec, xyz: Array) -> PartSpec:
-    """The part with its frame at ``xyz`` [m], turned as it is."""
+    """Return the part with its frame at ``xyz`` [m] and its rotation unchanged."""
     return part.model_copy(update={"pose": part.pose.model_copy(update={"xyz": _vector(xyz)})})
 
 
 def shaped(part: PartSpec, shape: Shape) -> PartSpec:
-    """The part with another shape."""
+    """Return the part with another shape."""
     return part.model_copy(update={"shape": shape})
 
 
 def at(part: PartSpec) -> Array:
-    """Return where its frame is in the link [m], shape (3,)."""
+    """Position of the part's frame in the link [m], shape (3,)."""
     return np.array(part.pose.xyz)
 
 
 def aimed(xyz: Array, direction: Array) -> PoseSpec:
-    """A pose at ``xyz`` [m] whose z points along ``direction``."""
+    """Pose at ``xyz`` [m] whose z axis points along ``direction``."""
     x, y, z = (float(v) for v in direction)
     pitch, yaw = math.degrees(math.atan2(math.hypot(x, y), z)), math.degrees(math.atan2(y, x))
     if abs(pitch) < 1e-9:
@@ -73,17 +73,17 @@ def aimed(xyz: Array, direction: Array) -> PoseSpec:
 
 
 def axis_of(part: PartSpec) -> Array:
-    """The unit vector along the part's own z in the link's frame, shape (3,)."""
+    """Unit vector along the part's own z axis in the link's frame, shape (3,)."""
     return pose(part.pose).rotation[:, 2]
 
 
 def is_level(direction: Array) -> bool:
-    """Return whether a direction lies in the plane of x and y."""
+    """Return whether a direction lies in the x-y plane."""
     return abs(float(direction[2])) < 1e-3
 
 
 def rod(part: PartSpec) -> tuple[float, float] | None:
-    """Radius and length [m] of a cylinder or capsule, its caps left out; None for any other part."""
+    """Radius and length [m] of a cylinder or capsule, excluding caps; None for any other part."""
     match part.shape:
         case CylinderShape():
             return part.shape.cylinder.radius, part.shape.cylinder.height
@@ -93,16 +93,16 @@ def rod(part: PartSpec) -> tuple[float, float] | None:
 
 
 def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
-    """A cylinder or capsule with other sizes [m]."""
+    """Return a cylinder or capsule with other sizes [m]."""
     kind = CylinderShape if isinstance(part.shape, CylinderShape) else CapsuleShape
     name = "cylinder" if kind is CylinderShape else "capsule"
     return shaped(part, kind.model_validate({name: {"radius": float(radius), "height": float(height)}}))
 
 
 def corners(part: PartSpec) -> Array:
-    """Points of the part's surface in the link's frame [m], shape (k, 3): their bounds are those of the part, or close.
+    """Points on the part's surface in the link's frame [m], shape (k, 3), whose bounds equal or approximate the part's.
 
-    Of a mesh there is only its origin: its file is not read.
+    A mesh is represented by its origin only, because its file is not read.
     """
     return pose(part.pose).apply(_own_corners(part.shape))
 
@@ -137,7 +137,7 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
 
 
 def bounds(parts: Iterator[PartSpec] | list[PartSpec]) -> tuple[Array, Array]:
-    """The lowest and the highest corner [m] of parts of one link, shapes (3,)."""
+    """Lowest and highest corner [m] of the bounding box of parts of one link, shapes (3,)."""
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)
 
@@ -148,28 +148,28 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
 
 
 HOLLOW = 0.12
-"""A cavity is at least this share of the height deep."""
+"""Minimum depth of a cavity as a share of the height."""
 
 LEVELS = 5
-"""A curved wall has so many rings at least: each band of it becomes convex parts."""
+"""Minimum number of rings of a curved wall; each band between rings becomes convex parts."""
 
 FLAT, LOW, WIDE = 0.4, 0.8, 1.4
-"""Height over the radius of the rim below which a vessel is a dish, a bowl, or a pot; above it is a cup."""
+"""Upper limits of the ratio of height to rim radius for dishes, bowls and pots; above the last, a vessel is a cup."""
 
 THINNEST = 0.0015
-"""No wall gets thinner than this [m]."""
+"""Minimum wall thickness [m]."""
 
 KEPT_WALL = 0.6
-"""A curve leaves a wall at least this share of its least thickness: a third less still looks like the same ware."""
+"""Minimum share of its thickness that a wall keeps when curved: a third less still looks like the same ware."""
 
 FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Shares of a curve's departure from a straight line that are tried, the whole first."""
+"""Shares of a curve's deviation from a straight line that are tried in order, the full curve first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A profile in two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
-    and ``inner`` from the rim down to the axis, shape (m, 2), which of a solid body is its flat or domed top.
+    """A profile as two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
+    and ``inner`` from the rim down to the axis, shape (m, 2), which for a solid body is its flat or domed top.
     """
 
     outer: Array
@@ -177,7 +177,7 @@ class Profile:
 
     @classmethod
     def of(cls, shape: LatheShape) -> Profile:
-        """The chains of a shape."""
+        """Split the profile of a shape into its chains."""
         rings = np.array(shape.lathe.profile)
         if rings[0, 1] > rings[-1, 1]:
             rings = rings[::-1]
@@ -186,44 +186,44 @@ class Profile:
 
     @property
     def shape(self) -> LatheShape:
-        """The profile as a document has it."""
+        """Return the profile as a shape of the spec."""
         rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
         kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
         return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
 
     @property
     def foot(self) -> float:
-        """The lowest height [m]."""
+        """Lowest height [m]."""
         return float(self.outer[:, 1].min())
 
     @property
     def rim(self) -> float:
-        """The greatest height [m]."""
+        """Greatest height [m]."""
         return float(self.outer[-1, 1])
 
     @property
     def height(self) -> float:
-        """From foot to rim [m]."""
+        """Height from foot to rim [m]."""
         return self.rim - self.foot
 
     @property
     def depth(self) -> float:
-        """From the rim down to the floor on the axis [m]; about 0 for a solid body."""
+        """Depth from the rim down to the floor on the axis [m]; about 0 for a solid body."""
         return self.rim - float(self.inner[-1, 1]) if len(self.inner) else 0.0
 
     @property
     def is_hollow(self) -> bool:
-        """Return whether it holds something."""
+        """Return whether the body has a cavity."""
         return self.depth > HOLLOW * self.height and len(self.inner) >= 3
 
     @property
     def wall(self) -> float:
-        """The thickness of its wall at the rim [m], 0 for a solid body."""
+        """Wall thickness at the rim [m]; 0 for a solid body."""
         return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
 
     @property
     def thinnest(self) -> float:
-        """The least distance of a corner of its inside from its outside [m]; that of a plate is not at its rim."""
+        """Minimum distance from a corner of the inside to the outside [m]; a plate's is not at its rim."""
         a, b = self.outer[:-1], self.outer[1:]
         way = b - a
         points = self.inner[:, None, :] - a
@@ -232,18 +232,18 @@ class Profile:
         return float(np.linalg.norm(apart, axis=2).min())
 
     def radius(self, height: Array | float) -> Array:
-        """The outer radius [m] at heights [m]."""
+        """Outer radius [m] at the given heights [m]."""
         rings = self.outer[1:] if len(self.outer) > 1 else self.outer
         order = np.argsort(rings[:, 1], kind="stable")
         return np.asarray(np.interp(height, rings[order, 1], rings[order, 0]))
 
     def share(self, height: Array) -> Array:
-        """Heights [m] as shares of the whole, 0 at the foot."""
+        """Convert heights [m] to shares of the total height, 0 at the foot."""
         return np.asarray((height - self.foot) / self.height)
 
 
 def finer(profile: Profile, levels: int = LEVELS) -> Profile:
-    """The same body with more rings where its walls are long, so that they can bend."""
+    """Add rings to long walls of the body so that they can bend."""
     gap = profile.height / levels
     return Profile(_finer(profile.outer, gap), _finer(profile.inner, gap) if profile.is_hollow else profile.inner)
 
@@ -257,11 +257,11 @@ def _finer(chain: Array, gap: float) -> Array:
 
 
 def swelled(profile: Profile, grow: Array, levels: int = LEVELS) -> Profile:
-    """The body with its outer radius multiplied by a smooth curve; the wall moves as one.
+    """Scale the body's outer radius by a smooth curve; the inside moves with the outside.
 
-    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), joined by straight lines. Across a wall
-    that leans far out, as a plate's, a curve is a steep step that would thin it: there the curve is flattened, between
-    its ends, until the wall keeps :data:`KEPT_WALL` of its thickness.
+    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), interpolated linearly. On a wall that
+    leans far out, such as a plate's, a curve is a steep step that would thin the wall: there the curve is flattened
+    between its ends until the wall keeps :data:`KEPT_WALL` of its thickness.
     """
     straight = np.linspace(grow[0], grow[-1], len(grow))
     made = profile
@@ -275,8 +275,9 @@ def swelled(profile: Profile, grow: Array, levels: int = LEVELS) -> Profile:
 def _swelled(profile: Profile, grow: Array, levels: int) -> Profile:
     fine = finer(profile, levels) if len(grow) > 2 else profile
     steps = np.linspace(0.0, 1.0, len(grow))
-    # The whole section, with the edge that joins its chains, gets a ring wherever a chain or the curve bends. Then
-    # every height moves by one distance, inside and outside, and what did not cross before cannot cross after.
+    # The whole section, including the edge that joins its chains, gets a ring wherever a chain or the curve bends. All
+    # points at one height then move by the same distance, inside and outside, so edges that did not cross before cannot
+    # cross afterwards.
     bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
     inner = np.concatenate([fine.outer[-1:], fine.inner])
     outer = fine.outer
@@ -291,7 +292,7 @@ def _swelled(profile: Profile, grow: Array, levels: int) -> Profile:
 
 
 def flared(profile: Profile, out: float, band: float) -> Profile:
-    """The rim bent outwards by ``out`` [m] over the topmost ``band`` [m]."""
+    """Bend the rim outward by ``out`` [m] over the topmost ``band`` [m]."""
     at = profile.rim - band
 
     def delta(heights: Array) -> Array:
@@ -303,7 +304,7 @@ def flared(profile: Profile, out: float, band: float) -> Profile:
 
 
 def thickened(profile: Profile, more: float) -> Profile:
-    """The wall and the floor thicker by ``more`` [m], inwards, or thinner; a wall keeps :data:`THINNEST`."""
+    """Thicken the wall and the floor inward by ``more`` [m], or thin them; a wall keeps :data:`THINNEST`."""
     more = max(more, THINNEST - profile.wall)
     inner = profile.inner.copy()
     on_wall = inner[:, 0] > 0
@@ -314,7 +315,7 @@ def thickened(profile: Profile, more: float) -> Profile:
 
 
 def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
-    """The body on a ring foot: all of it ``up`` [m] higher, on a narrower disc, ``inset`` [m] within its old foot."""
+    """Raise the body by ``up`` [m] onto a narrower ring foot, ``inset`` [m] inside its old foot."""
     base = float(profile.outer[1, 0])
     radius = base - inset
     lift = np.array([0.0, up])
@@ -323,7 +324,7 @@ def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
 
 
 def _shifted(profile: Profile, outer: Array, inner: Array) -> Profile:
-    """Radii moved by so much [m]; what is on the axis stays there."""
+    """Shift radii by the given amounts [m]; points on the axis stay there."""
 
     def chain(points: Array, by: Array) -> Array:
         moved = points.copy()
@@ -335,7 +336,7 @@ def _shifted(profile: Profile, outer: Array, inner: Array) -> Profile:
 
 
 def _ring_at(chain: Array, height: float) -> Array:
-    """The chain with a ring at a height [m] where it passes through it."""
+    """Return the chain with a ring inserted where it passes through a height [m]."""
     out = [chain[0]]
     for a, b in pairwise(chain):
         if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:

@@ -1,4 +1,4 @@
-"""Silhouettes of vessels: other forms of cups, bowls and plates, each with a wall of even thickness."""
+"""Procedural variants by rules, and new silhouettes for vessels (cups, bowls, plates) with walls of even thickness."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import LatheShape
 
 POINTS = 13
-"""Rings of a curved wall: a belly of 10 % of a cup's radius then departs from its chords by less than 0.1 mm."""
+"""Number of rings of a curved wall: a bulge of 10 % of a cup's radius then deviates from its chords by under 0.1 mm."""
 
 HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
-"""Factors on the twin's height, rim radius and wall: shops sell cups that differ as much."""
+"""Factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in shops."""
 
 SMALLEST_FOOT = 0.35
-"""A foot has at least this share of the rim's radius, or the vessel topples when it is pushed."""
+"""Minimum foot radius as a share of the rim's radius; below it the vessel topples when pushed."""
 
 Form = Callable[[Array, Rng], Array]
-"""Outer radius between foot (0) and rim (1) at heights between foot (0) and rim (1), shape (k,) to (k,)."""
+"""Normalized profile: outer radius between foot (0) and rim (1) at heights between foot (0) and rim (1), both (k,)."""
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Another silhouette: of a family that fits a vessel of its height, with sizes, wall and foot of its own."""
+    """Replace the silhouette of a vessel by one of a family that fits its height, with new sizes, wall and foot."""
     key = lathe_of(spec, component)
-    if key is None or len(spec.links) > 1:  # a lid fits the rim that there is
+    if key is None or len(spec.links) > 1:  # a lid fits the existing rim
         return None
     shape = parts_of(spec)[key].shape
     assert isinstance(shape, LatheShape)
@@ -59,7 +59,7 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def _forms(slender: float) -> dict[str, tuple[tuple[float, float], Form]]:
-    """The forms of vessels whose height is ``slender`` times the radius of their rim."""
+    """Return the forms for vessels whose height is ``slender`` times their rim radius."""
     if slender < FLAT:
         return DISHES
     if slender < LOW:
@@ -72,7 +72,7 @@ def _factor(rng: Rng, between: tuple[float, float]) -> float:
 
 
 def _outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Array:
-    """Points (radius, height) [m] of an outer wall from foot to rim, shape (k, 2), evenly spaced along it."""
+    """Points (radius, height) [m] of an outer wall from foot to rim, shape (k, 2), evenly spaced along the wall."""
     t = np.linspace(0.0, 1.0, 101)
     wall = np.column_stack([foot + (rim - foot) * form(t, rng), t * height])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wall, axis=0), axis=1))])
@@ -81,9 +81,9 @@ def _outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Ar
 
 
 def walled(outside: Array, wall: float, floor: float) -> Profile | None:
-    """A hollow profile: an outer wall [m], shape (k, 2), from foot to rim, and an inner one ``wall`` [m] away from it.
+    """Hollow profile with an outer wall [m], shape (k, 2), from foot to rim, and an inner one offset by ``wall`` [m].
 
-    The rim is rounded, and the inside ends on a level ``floor`` [m]. None where the wall bends more sharply than its
+    The rim is rounded, and the inside ends on a level ``floor`` [m]. None if the wall bends more sharply than its
     thickness allows.
     """
     from shapely.geometry import Polygon
@@ -98,7 +98,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
         return None
     first = inside[above[0]]
     run = tangent[above[0]]
-    down = (first[1] - floor) / max(float(run[1]), 0.3)  # along the wall down to the floor
+    down = (first[1] - floor) / max(float(run[1]), 0.3)  # follow the wall down to the floor
     corner = np.array([float(first[0] - run[0] * down), floor])
     rings = np.concatenate([[[0.0, 0.0]], outside, [lip], inside[above][::-1], [corner, [0.0, floor]]])
     if (rings[1:-1, 0] <= 5e-4).any() or not Polygon(rings).is_valid:
@@ -112,7 +112,7 @@ def _straight(t: Array, _: Rng) -> Array:
 
 
 def _rounded(t: Array, rng: Rng) -> Array:
-    """A quarter of an ellipse below, straight above."""
+    """Quarter ellipse at the bottom, straight above."""
     bend = rng.uniform(0.3, 0.6)
     return np.asarray(np.sqrt(1 - np.clip(1 - t / bend, 0.0, 1.0) ** 2))
 
@@ -126,7 +126,7 @@ def _barrel(t: Array, rng: Rng) -> Array:
 
 
 def _tulip(t: Array, rng: Rng) -> Array:
-    """Full below, drawn in, and bent out at the rim."""
+    """Wide at the bottom, narrower in the middle, and flared at the rim."""
     return np.asarray(t + rng.uniform(0.5, 0.9) * np.sin(2 * np.pi * t**0.85))
 
 
@@ -135,7 +135,7 @@ def _waisted(t: Array, rng: Rng) -> Array:
 
 
 def _shouldered(t: Array, rng: Rng) -> Array:
-    """Two straight walls with a soft step between them."""
+    """Two straight walls with a smooth step between them."""
     at, soft = rng.uniform(0.3, 0.6), rng.uniform(0.05, 0.1)
     step = 1 / (1 + np.exp(-(t - at) / soft))
     return np.asarray((step - step[0]) / (step[-1] - step[0]))
@@ -146,7 +146,7 @@ def _round_bowl(t: Array, rng: Rng) -> Array:
 
 
 def _bell(t: Array, rng: Rng) -> Array:
-    """Round below, and bent out at the rim."""
+    """Round at the bottom, flared at the rim."""
     return np.asarray(0.72 * np.sqrt(np.clip(1 - (1 - t) ** 2, 0.0, 1.0)) + 0.28 * t ** rng.uniform(3.0, 6.0))
 
 
@@ -155,7 +155,7 @@ def _coupe(t: Array, rng: Rng) -> Array:
 
 
 def _rimmed(t: Array, rng: Rng) -> Array:
-    """A well with a wide rim that rises little."""
+    """Well with a wide rim that rises slightly."""
     at = rng.uniform(0.5, 0.7)
     well, rim = np.clip(t / at, 0.0, 1.0), np.clip((t - at) / (1 - at), 0.0, 1.0)
     share = rng.uniform(0.35, 0.5)
@@ -177,7 +177,7 @@ CUPS: dict[str, tuple[tuple[float, float], Form]] = {
     "waisted": ((0.84, 0.92), _waisted),
     "shouldered": ((0.68, 0.82), _shouldered),
 }
-"""Forms of cups and mugs by name: the foot as a share of the rim's radius, and how the wall goes between them."""
+"""Forms of cups and mugs by name: range of the foot radius as a share of the rim's, and the profile between them."""
 
 POTS = ("straight", "tapered", "rounded", "flared", "barrel-shaped")
 
@@ -207,28 +207,30 @@ RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
 TOGETHER: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": ((stretch, MAIN),), "topology": (), "appearance": ((recolor, MAIN),)}
 )
-"""Rules that change meshes and shapes alike, for things whose shapes collide for the meshes that are seen."""
+"""Rules that change meshes and shapes consistently, for objects whose visual geometry is a mesh and whose collision
+geometry consists of shapes.
+"""
 
 SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
-"""How often a variant differs in each way that is allowed: in shape always, or it would be a recoloured copy."""
+"""Probability that a variant differs in each allowed dimension; always in shape, or it would be a recolored copy."""
 
 WEIGHTS: Mapping[Rule, float] = MappingProxyType({reshape: 16.0})
-"""How often a rule is drawn beside the others, which count 1: three vessels of four have another silhouette."""
+"""Weight of a rule relative to the others (1): three vessels of four get another silhouette."""
 
 SKINNED = 0.7
-"""Share of the variants whose looks may differ that carry a pattern; shops sell plain things too."""
+"""Probability that a variant whose appearance may change gets a pattern; shops sell plain objects too."""
 
 ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
-"""Of these a thing has several that are the same, and stay so: what is done to one is done to all."""
+"""Components of which an object has several equal ones: an edit of one is applied to all."""
 
 TRIES = 8
-"""Rules that do not apply to a thing are passed over so often."""
+"""Maximum number of inapplicable rules tried before giving up."""
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A candidate: a spec not yet weighed nor named, the new ``files`` that it names, those that it keeps of the twin,
-    and what was ``changed``, for people.
+    """A candidate whose spec has no estimated masses and no final name yet, with the new ``files`` that it names, those
+    kept from the twin, and a human-readable list of what was ``changed``.
     """
 
     spec: AssetSpec
@@ -238,7 +240,7 @@ class Draft:
 
 
 def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:
-    """A candidate that differs in some of ``changes``, in the components named in ``only``, by default in any.
+    """Generate a candidate that differs in some of ``changes``, in the components named in ``only`` (by default any).
 
     The same generator state gives the same draft.
     """
@@ -268,14 +270,16 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Return whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
+    """Return whether some parts are meshes and others shapes, which usually are visual and collision geometry."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 
 def _finished(
     spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
-    """The asset with what no rule can change afterwards: handles as tubes, and patterns; the new files, and words."""
+    """Apply the final edits, which no rule can follow (tubular handles, patterns); return the asset, files and
+    descriptions.
+    """
     files: dict[str, bytes] = {}
     said: list[str] = []
     if "geometry" in changes or "topology" in changes:
@@ -290,7 +294,7 @@ def _finished(
 def _edit(
     spec: AssetSpec, rules: Sequence[tuple[Rule, tuple[Kind, ...]]], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, str, Rule] | None:
-    """One rule applied to one component, both drawn, and to those that are like it; None where none drawn applies."""
+    """Apply one random rule to one random component and those equal to it; None if no drawn rule applies."""
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]
     weights = np.array([WEIGHTS.get(rule, 1.0) for rule, _ in choices])
@@ -313,5 +317,5 @@ def _edit(
 
 
 def rng_of(seed: int, name: str, k: int) -> np.random.Generator:
-    """The generator of candidate ``k`` of the thing called ``name``."""
+    """Return the generator for candidate ``k`` of the object ``name``."""
     return np.random.default_rng([seed, k, *name.encode()])

@@ -1,7 +1,7 @@
-"""How far two things are apart in size, shape and colour: what makes variants distinct, and what retrieval looks for.
+"""Distance between objects in size, shape and color, used to keep variants distinct and to retrieve similar objects.
 
-Shape is told by D2, the distribution of distances between points of the surface over the largest of them (Osada et al.,
-Shape Distributions, ACM ToG 2002), colour by CIE 1976 L*a*b*.
+Shape is measured by D2, the distribution of distances between surface points relative to the largest of them (Osada et
+al., Shape Distributions, ACM ToG 2002), color by CIE 1976 L*a*b*.
 """
 
 from __future__ import annotations
@@ -34,23 +34,24 @@ from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 
 PAIRS, BINS = 16_384, 24
-"""Pairs of surface points, and bins of their distances: the noise of the shape distance then is below 0.02."""
+"""Number of pairs of surface points, and of histogram bins; the noise of the shape distance is then below 0.02."""
 
 SEGMENTS = 32
 
 LEVELS = 12
-"""Levels of each channel of a texture that are told apart: finer ones make the colours too many to match."""
+"""Number of levels per texture channel; finer levels give too many colors to match."""
 
 SIZE, SHAPE, COLOR = 0.06, 0.06, 12.0
-"""Two things are distinct if their sides differ by 6 %, their shapes by 0.06 (share of the pairs of points that fall
-elsewhere), or their colours by 12 in L*a*b*: five times what is just seen (Mahy et al., 1994)."""
+"""Thresholds for distinct objects: 6 % in side length, 0.06 in shape (share of point pairs in other bins), or 12 in
+L*a*b* color, five times the just noticeable difference (Mahy et al., 1994).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """The looks of an object: ``size`` [m] along x, y, z, shape (3,); ``shape`` shares of the pairs of points by their
-    distance, shape (24,), of sum 1; ``colors`` L*a*b* of what is seen of it, by area, shape (k, 3), with ``areas`` as
-    shares, shape (k,); ``mass`` [kg].
+    """Descriptor of an object: ``size`` [m] along x, y, z, shape (3,); ``shape``, a histogram of point pairs by
+    distance, shape (24,), with sum 1; ``colors`` of visible surfaces in L*a*b*, shape (k, 3), with ``areas`` as shares,
+    shape (k,); ``mass`` [kg].
     """
 
     size: Array
@@ -60,7 +61,7 @@ class Likeness:
     mass: float
 
     def apart(self, other: Likeness) -> LikenessDistance:
-        """Return how far another is from this."""
+        """Compute the distance to another descriptor."""
         size = float(np.abs(np.log(self.size / other.size)).max())
         shape = float(np.abs(self.shape - other.shape).sum() / 2)
         return LikenessDistance(size, shape, color_distance(self, other))
@@ -68,7 +69,7 @@ class Likeness:
 
 @dataclass(frozen=True)
 class LikenessDistance:
-    """``size``: the largest ratio of two sides, as a logarithm; ``shape``: between 0 and 1; ``color`` in L*a*b*."""
+    """``size``: logarithm of the largest ratio of two sides; ``shape``: between 0 and 1; ``color``: in L*a*b*."""
 
     size: float
     shape: float
@@ -76,12 +77,12 @@ class LikenessDistance:
 
     @property
     def form(self) -> float:
-        """The larger of size and shape in units of what makes things distinct: what differs whatever the colour."""
+        """Larger of the size and shape distances, in units of the thresholds for distinct objects; color is ignored."""
         return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
 
     @property
     def distance(self) -> float:
-        """The largest of the three in units of what makes things distinct: from 1 on they are."""
+        """Largest of the three distances in units of the thresholds; objects are distinct from 1 on."""
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
@@ -89,7 +90,7 @@ class LikenessDistance:
 
 
 def likeness(item: SceneObject, seed: int = 0) -> Likeness:
-    """The likeness of a thing with its joints where its object has them; ``seed`` draws the points."""
+    """Compute the descriptor of an object at its current joint positions; ``seed`` determines the sampled points."""
     triangles, rgb = _surface(item)
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
@@ -109,7 +110,7 @@ def likeness(item: SceneObject, seed: int = 0) -> Likeness:
 
 
 def color_distance(a: Likeness, b: Likeness) -> float:
-    """The mean distance in L*a*b* between equal shares of two surfaces, matched greedily from the nearest colours."""
+    """Mean distance in L*a*b* between equal shares of two surfaces, matched greedily from the closest colors."""
     cost = np.linalg.norm(a.colors[:, None] - b.colors[None], axis=2)
     left, right = a.areas.copy(), b.areas.copy()
     total = 0.0
@@ -123,7 +124,7 @@ def color_distance(a: Likeness, b: Likeness) -> float:
 
 
 def lab(rgb: Array) -> Array:
-    """CIE 1976 L*a*b* (D65) of sRGB colours in [0, 1], shape (n, 3)."""
+    """Convert sRGB colors in [0, 1], shape (n, 3), to CIE 1976 L*a*b* (D65)."""
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     xyz = linear @ np.array([[0.4124, 0.2126, 0.0193], [0.3576, 0.7152, 0.1192], [0.1805, 0.0722, 0.9505]])
     t = xyz / np.array([0.9505, 1.0, 1.089])
@@ -132,7 +133,7 @@ def lab(rgb: Array) -> Array:
 
 
 def _points(triangles: Array, areas: Array, rng: np.random.Generator) -> Array:
-    """Points spread evenly over a surface, shape (PAIRS, 3)."""
+    """Sample points uniformly on a surface, shape (PAIRS, 3)."""
     which = np.searchsorted(np.cumsum(areas) / areas.sum(), rng.random(PAIRS))
     corner = triangles[np.minimum(which, len(areas) - 1)]
     u, v = np.sqrt(rng.random(PAIRS))[:, None], rng.random(PAIRS)[:, None]
@@ -140,7 +141,7 @@ def _points(triangles: Array, areas: Array, rng: np.random.Generator) -> Array:
 
 
 def _surface(item: SceneObject) -> tuple[Array, Array]:
-    """Triangles of all that is seen, in the object's frame, shape (n, 3, 3), and their sRGB colours, shape (n, 3)."""
+    """Visible triangles in the object's frame, shape (n, 3, 3), and their sRGB colors, shape (n, 3)."""
     X_OL = link_poses(item)
     triangles, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
     for link in item.links:
@@ -153,7 +154,7 @@ def _surface(item: SceneObject) -> tuple[Array, Array]:
 
 
 def _tints(mesh: Mesh) -> Array:
-    """The colour of the texture in the middle of each triangle, in few levels; white without one, shape (n, 3)."""
+    """Quantized texture color at the center of each triangle; white without a texture, shape (n, 3)."""
     if mesh.texture is None or mesh.uv is None:
         return np.ones((len(mesh.faces), 3))
     import io
@@ -168,32 +169,33 @@ def _tints(mesh: Mesh) -> Array:
 
 
 LEAST, MOST = 0.5, 2.0
-"""Factors by which a thing of a library is scaled to the twin's size."""
+"""Range of factors by which a library object is scaled to the twin's size."""
 
 STRANGER = 3.0
-"""What is of another kind counts as this much farther away, in the units of :attr:`Apart.distance`."""
+"""Additional distance of objects of another category, in the units of :attr:`LikenessDistance.distance`."""
 
 USUAL = Material(density=700.0, friction=0.5, restitution=0.1)
-"""What a mesh is made of where the twin does not say."""
+"""Material of a mesh if the twin does not state one."""
 
 
 @dataclass(frozen=True, eq=False)
 class VariantEntry:
-    """A thing of a library, and what it looks like."""
+    """An object of a library and its descriptor."""
 
     item: ObjectAsset
     likeness: Likeness
 
 
 class VariantLibrary:
-    """The assets of a folder: documents, and mesh files, whose category is the name of the folder that they are in.
+    """The assets of a folder: documents, and mesh files, whose category is the name of their folder.
 
-    ``left_out`` are files that cannot be used, with why. Raises :class:`SimfoundryError` where there is no folder.
+    ``left_out`` are the unusable files, each with the reason. Raises :class:`SimfoundryError` if the folder does not
+    exist.
     """
 
     def __init__(self, folder: Path, cache: Cache | None = None, scale: float = 1.0) -> None:
         if not folder.is_dir():
-            raise SimfoundryError(f"the library {folder} is no folder")
+            raise SimfoundryError(f"the library {folder} is not a folder")
         self.folder = folder
         self.left_out: dict[str, str] = {}
         self.entries: list[VariantEntry] = []
@@ -211,9 +213,9 @@ class VariantLibrary:
         self.entries.append(VariantEntry(item, likeness(thing)))
 
     def ranked(self, item: ObjectAsset, like: Likeness) -> list[tuple[float, float, VariantEntry]]:
-        """The entries from the most alike: distance, the factor that scales it to the twin's size, and the entry.
+        """Return the entries from most to least similar: distance, scale factor to the twin's size, and the entry.
 
-        An entry that is the twin itself, by its document, is not among them.
+        The twin itself, identified by its document, is excluded.
         """
         found = []
         for k, entry in enumerate(self.entries):
@@ -229,25 +231,25 @@ class VariantLibrary:
 
 
 class Retrieval:
-    """A source of candidates: the entries of a library in the order of their likeness to the twin."""
+    """A source of candidates: the entries of a library in order of similarity to the twin."""
 
     def __init__(self, library: VariantLibrary) -> None:
         self.library = library
         self._ranked: dict[str, list[tuple[float, float, VariantEntry]]] = {}
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Candidate ``k``: the next entry when its turn has come round to this source."""
+        """Return candidate ``k``: the next entry each time it is this source's turn."""
         if item.name not in self._ranked:
             self._ranked[item.name] = self.library.ranked(item, _likeness_of(item))
         ranked = self._ranked[item.name]
         place = k // len(axis.sources)
         if place >= len(ranked):
             count = len(ranked)
-            text = f"the library has {count} things beside the twin, and this is the {place + 1}th that is asked for"
+            text = f"the library has {count} objects besides the twin, but entry {place + 1} is requested"
             return Reason("library", text, {"entries": float(count), "place": float(place)})
         away, factor, entry = ranked[place]
         if not same_kind(entry.item.category, item.category):
-            text = f"the next in the library, `{entry.item.name}`, is a {entry.item.category}, and no {item.category}"
+            text = f"the next library entry, `{entry.item.name}`, is a {entry.item.category}, not a {item.category}"
             return Reason("kind", text, {"distance": away})
         spec = stretched(entry.item.spec, np.full(3, factor))
         words = f"{entry.item.source} of the library, scaled by {factor:.2f}, at distance {away:.1f}"
@@ -255,7 +257,7 @@ class Retrieval:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return what a library holds: the SHA-256 of each file by its path in the folder, sorted."""
+    """Return the contents of a library: the SHA-256 of each file by its path in the folder, sorted."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
@@ -264,7 +266,7 @@ def _read(path: Path, folder: Path, scale: float) -> ObjectAsset:
     if path.name.endswith(".asset.yaml"):
         loaded = load(path)
         if loaded.errors or not isinstance(loaded.spec, AssetSpec):
-            raise SpecError(loaded.errors or [loaded.finding("SF006", ("simfoundry",), "it is no asset")])
+            raise SpecError(loaded.errors or [loaded.finding("SF006", ("simfoundry",), "it is not an asset document")])
         return item_of_asset(loaded)
     inside = path.relative_to(folder).parts
     name = _name(
@@ -275,7 +277,7 @@ def _read(path: Path, folder: Path, scale: float) -> ObjectAsset:
 
 
 def _name(text: str) -> str:
-    """A file's name as names are written here: ``025_mug`` is ``mug``."""
+    """Convert a file's name to an object name: ``025_mug`` becomes ``mug``."""
     kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in text.lower()).strip("_0123456789-")
     return kept or "thing"
 

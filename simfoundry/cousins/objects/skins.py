@@ -1,4 +1,4 @@
-"""Skins: patterns baked into textures, laid on the parts of a component as meshes that are seen and nothing else."""
+"""Skins: patterns baked into textures, applied as visual-only meshes to the parts of a component."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 PIXELS = 192
-"""Pixels along a side of a pattern: 1.3 mm each around a mug, and 20 to 60 kB as PNG."""
+"""Side length of a pattern [px]: 1.3 mm per pixel around a mug, and 20 to 60 kB as PNG."""
 
 AROUND = 64
-"""Sides of what is turned; its chords then depart from the circle by 0.1 % of the radius."""
+"""Number of sides of a solid of revolution; its chords then deviate from the circle by 0.1 % of the radius."""
 
 
 Field = NDArray[np.float64]
-"""Values in [0, 1], shape (PIXELS, PIXELS), from the top down: of a pattern the share of the second colour."""
+"""Values in [0, 1], shape (PIXELS, PIXELS), from top to bottom: for a pattern, the share of the second color."""
 
 Pattern = Callable[[Field, Field, Rng], Field]
-"""A field at u (around) and v (up), both in [0, 1]; it closes around."""
+"""A field at u (around) and v (up), both in [0, 1]; it is periodic in u."""
 
 
 def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """The asset with a pattern on one of its main components: the spec, the new files, and what the pattern is.
+    """Apply a pattern to one of the main components; return the spec, the new files and a description of the pattern.
 
-    The parts stay what collides and weighs. Where no part can carry a picture, the asset is as it was and the text is
-    empty.
+    The original parts remain as collision geometry and keep their mass. If no part can be textured, the asset is
+    unchanged and the text is empty.
     """
     found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
     found = [c for c in found if not _is_chain([parts_of(spec)[key] for key in c.parts])]
@@ -70,16 +70,16 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
 
 
 SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
-"""Kinds of components that carry a pattern; berries and the layers of a burger do not."""
+"""Kinds of components that get a pattern; berries and the layers of a burger do not."""
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Return whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
+    """Return whether parts are several rods, as in a banana, where a pattern per rod would show the seams."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
 def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[str, ...]:
-    """Return what things of a kind and material are decorated with."""
+    """Return the patterns that suit a category and material."""
     material = part.material or spec.links[component.link].material or ""
     category = spec.category or spec.name
     for words, names in STYLES:
@@ -89,7 +89,7 @@ def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[st
 
 
 def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """The other colour of a pattern: of a natural one a shade of the first, else one that stands out from it."""
+    """Choose the second color of a pattern: a shade of the first for natural materials, else a contrasting one."""
     if name in NATURAL:
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
@@ -99,7 +99,7 @@ def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Col
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """A PNG: its lower two thirds a pattern, the rest plain for insides and edges."""
+    """Draw a PNG: a pattern in the lower two thirds, and a plain color above for insides and edges."""
     from PIL import Image
 
     u, v = np.meshgrid((np.arange(PIXELS) + 0.5) / PIXELS, 1 - (np.arange(PIXELS) + 0.5) / PIXELS)
@@ -112,19 +112,19 @@ def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
 
 
 PAINTED = 0.66
-"""Share of the height of a texture that the pattern takes."""
+"""Share of a texture's height that the pattern takes."""
 
 PLAIN = 0.83
-"""Height in a texture at which it is plain."""
+"""Texture coordinate at which the texture is plain."""
 
 
 # -- surfaces ---------------------------------------------------------------------------------------------------------
 
 
 def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
-    """A shape as a closed mesh that carries a picture where one sees it; None of a shape that has no such mesh.
+    """Convert a shape to a closed mesh with the image on its visible surfaces; None if the shape is not supported.
 
-    ``around`` says whether the picture is made to go around an axis, also on what is flat, as a plate.
+    ``around`` is true if the image is made to go around an axis, even on flat objects such as plates.
     """
     match shape:
         case LatheShape():
@@ -148,9 +148,9 @@ def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
 
 
 def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
-    """A profile turned about z. A low vessel carries the picture inside, from its middle to its rim, a bowl and what is
-    higher outside, from its bottom to its rim; the rest is plain. Inside, a picture that is not made to go ``around``
-    lies flat, as seen from above.
+    """Revolve a profile about z. A low vessel has the image on its inside, from center to rim; a bowl or higher vessel
+    on its outside, from bottom to rim; the rest is plain. On the inside, an image that is not made to go ``around`` is
+    projected flat, as seen from above.
     """
     outer, inner = profile.outer, profile.inner
     widest = float(outer[:, 0].max())
@@ -161,7 +161,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     x, y = rings[:, :1] * np.cos(angle), rings[:, :1] * np.sin(angle)
     vertices = np.stack([x, y, np.repeat(rings[:, 1:], AROUND + 1, axis=1)], axis=2)
     vertices[:, -1] = vertices[:, 0]
-    skip = int(outer[0, 0] < 1e-9 and outer[1, 1] - outer[0, 1] < 1e-6)  # a level bottom is not seen
+    skip = int(outer[0, 0] < 1e-9 and outer[1, 1] - outer[0, 1] < 1e-6)  # a level bottom is not visible
     up = np.full(len(outer), PLAIN) if slender < FLAT else PAINTED * _shares(outer, skip)
     down = PAINTED * (1 - _shares(back, 0)) if slender < LOW else np.full(len(back), PLAIN)
     uv = np.stack(np.broadcast_arrays(angle / (2 * np.pi), np.concatenate([up, down])[:, None]), axis=2).copy()
@@ -180,7 +180,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """Return how far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
+    """Arc length of the points of a chain, normalized from 0 at the point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
@@ -188,7 +188,7 @@ def _shares(chain: Array, skip: int) -> Array:
 
 
 def _box(size: Array, image: bytes) -> Mesh:
-    """A box; each of its faces carries the picture."""
+    """Box with the image on each of its faces."""
     vertices: list[Array] = []
     uv: list[Array] = []
     faces: list[tuple[int, int, int]] = []
@@ -211,7 +211,7 @@ def _box(size: Array, image: bytes) -> Mesh:
 
 
 def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
-    """A convex prism; its sides carry the picture, its ends are plain."""
+    """Convex prism with the image on its sides and plain ends."""
     edges = np.roll(outline, -1, axis=0) - outline
     after = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
@@ -260,7 +260,7 @@ def _stripes(u: Field, _: Field, rng: Rng) -> Field:
 
 
 def _spiral(u: Field, v: Field, rng: Rng) -> Field:
-    """Stripes that wind around."""
+    """Stripes that wind around the axis."""
     return _soft(np.sin(2 * np.pi * (int(rng.integers(4, 10)) * u + rng.uniform(1, 4) * v)), rng.uniform(-0.3, 0.4))
 
 
@@ -277,13 +277,13 @@ def _checks(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _rim(_: Field, v: Field, rng: Rng) -> Field:
-    """One band below the rim, and a thin line under it."""
+    """One band below the rim, with a thin line under it."""
     low = rng.uniform(0.7, 0.85)
     return np.asarray((v > low) | (np.abs(v - low + 0.06) < 0.014), dtype=np.float64)
 
 
 def _dipped(u: Field, v: Field, rng: Rng) -> Field:
-    """The lower part in another glaze, with an uneven edge."""
+    """Lower part in another glaze, with an uneven edge."""
     edge = rng.uniform(0.3, 0.6) + 0.04 * _wave(u, rng)
     return _soft(edge - v, 0.0, 60.0)
 
@@ -301,7 +301,7 @@ def _zigzag(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _speckles(u: Field, v: Field, rng: Rng) -> Field:
-    """Many small flecks, as of stoneware or a ripe fruit."""
+    """Many small flecks, as on stoneware or ripe fruit."""
     return _flecks(u, v, rng, int(rng.integers(120, 260)), 0.008)
 
 
@@ -310,19 +310,19 @@ def _terrazzo(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _streaks(u: Field, v: Field, rng: Rng) -> Field:
-    """Fine upright streaks that fade, as on an apple."""
+    """Fine vertical streaks that fade, as on an apple."""
     field = sum(np.cos(2 * np.pi * (int(k) * u + rng.random())) for k in rng.integers(5, 60, 9)) / 5
     return np.asarray(np.clip(0.3 + 0.5 * field, 0.0, 0.7) * np.clip(0.3 + v, 0.0, 1.0))
 
 
 def _gradient(_: Field, v: Field, rng: Rng) -> Field:
-    """One colour that passes into the other."""
+    """Gradual transition from one color to the other."""
     at, soft = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.25)
     return np.asarray(1 / (1 + np.exp((v - at) / soft)))
 
 
 def _grain(u: Field, v: Field, rng: Rng) -> Field:
-    """Wood: lines along u that bend."""
+    """Wood grain: wavy lines along u."""
     bend = 0.06 * _wave(u, rng) + 0.03 * np.sin(2 * np.pi * (u + 2 * v))
     rings = np.sin(2 * np.pi * rng.uniform(7, 14) * (v + bend))
     fine = np.sin(2 * np.pi * rng.uniform(40, 60) * (v + bend))
@@ -351,7 +351,7 @@ def _tape(_: Field, v: Field, rng: Rng) -> Field:
 
 
 def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
-    """1 where a value is above a threshold, with a soft edge."""
+    """Smooth step: 1 above the threshold."""
     return np.asarray(np.clip(0.5 + sharp * (value - threshold), 0.0, 1.0))
 
 
@@ -393,10 +393,10 @@ DECORATION = (
     "speckles", "terrazzo", "a gradient",
 )  # fmt: skip
 AROUND_AXIS = ("bands", "a painted rim", "a dipped foot", "drips of glaze", "zigzags", "streaks", "a gradient")
-"""Patterns that go around an axis also where they are seen from above."""
+"""Patterns that go around an axis even if they are seen from above."""
 
 NATURAL = ("streaks", "speckles", "wood grain", "planks")
-"""Patterns in two shades of one colour."""
+"""Patterns in two shades of one color."""
 
 STYLES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("fruit", "apple", "banana", "grapes"), ("streaks", "speckles", "a gradient")),
@@ -404,4 +404,4 @@ STYLES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("carton",), ("print", "tape", "stripes", "wood grain")),
     (("steel", "aluminium", "enamel"), ("a painted rim", "a dipped foot", "bands", "speckles", "dots", "checks")),
 )
-"""Patterns by words of the material or category; of anything else :data:`DECORATION`."""
+"""Patterns by words in the material or category; :data:`DECORATION` is the default."""

@@ -1,4 +1,4 @@
-"""Variants in the place of their twins: made once for a recipe, kept in a folder, and chosen for each cousin."""
+"""Variants that replace their twins: generated once per recipe, stored in a folder, and chosen for each cousin."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.write import to_yaml
 
 VERSION = "variants/3"
-"""Changes where the same twin, axis and seed would give other variants."""
+"""Format version; incremented when the same twin, axis and seed would give other variants."""
 
 
 def prepare(
@@ -38,13 +38,13 @@ def prepare(
     progress: Progress | None = None,
     library: Path | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Make and write the variants of every object of an axis; what the folder has already is not made again.
+    """Generate and write the variants of every object of an axis; variants already in the folder are reused.
 
-    ``sources`` opens those beyond rules, and is asked only where something is to be made; ``library`` is the folder
-    that one of them reads.
+    ``sources`` opens the sources other than rules, and is called only if something must be generated; ``library`` is
+    the folder that one of them reads.
 
-    Returns for each object its record, which is also beside the documents as ``NAME.variants.json``: the names of the
-    ``accepted``, the ``refused`` with reasons, and what the twin itself ``lacks``.
+    Return the record of each object, which is also written beside the documents as ``NAME.variants.json``: the names of
+    the ``accepted``, the ``refused`` with reasons, and what the twin itself ``lacks``.
     """
     assert isinstance(scene.spec, SceneSpec)
     lowered, records = None, {}
@@ -70,10 +70,10 @@ def prepare(
 def made_for(
     axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: SourceSetup
 ) -> dict[str, tuple[Path, ...]]:
-    """The documents of the variants of each object, made where they are not there yet.
+    """Return the documents of each object's variants, generated if they do not exist yet.
 
-    Raises :class:`ImpossibleError` for an object that has none, with what became of the candidates, and for a source
-    that is not set up; :class:`~simfoundry.errors.SimfoundryError` for models that do not answer.
+    Raises :class:`ImpossibleError` for an object without variants (with the results of its candidates) and for a source
+    that is not set up, and :class:`~simfoundry.errors.SimfoundryError` for models that do not answer.
     """
     cache = Cache.default()
     records = prepare(
@@ -91,9 +91,9 @@ def made_for(
 
 @dataclass(frozen=True)
 class VariantCount:
-    """Numbers of variants of an object that were ``asked`` for and ``made``, and of ``candidates`` that it took.
+    """Number of variants of an object that were requested (``asked``) and ``made``, and of ``candidates`` examined.
 
-    ``reasons`` says how often each reason was given against the rest, ``examples`` the text of the first of each.
+    ``reasons`` counts each reason for rejection, ``examples`` has the text of the first of each.
     """
 
     name: str
@@ -105,11 +105,11 @@ class VariantCount:
 
     @property
     def is_short(self) -> bool:
-        """Return whether there are fewer than were asked for."""
+        """Return whether fewer variants were made than requested."""
         return self.made < self.asked
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping for manifests."""
+        """Return a plain mapping for manifests."""
         return {"asked": self.asked, "made": self.made, "candidates": self.candidates, "reasons": dict(self.reasons)}
 
     def __str__(self) -> str:
@@ -122,7 +122,7 @@ class VariantCount:
 
 
 def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
-    """Return what came of each object of an axis, from the records in the folder of its variants."""
+    """Return the counts of each object of an axis, from the records in the folder of its variants."""
     found = []
     for name, wanted in axis.objects.items() if axis is not None else ():
         record = json.loads((folder / f"{name}.variants.json").read_bytes())
@@ -135,7 +135,7 @@ def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
 
 
 def record_of(made: Variants) -> dict[str, Any]:
-    """Return what manifests say of the variants of one object."""
+    """Return the manifest entry for the variants of one object."""
     accepted = [
         {
             "asset": v.file,
@@ -153,9 +153,9 @@ def record_of(made: Variants) -> dict[str, Any]:
 def _key(
     item: ObjectAsset, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None
 ) -> str:
-    """Return what variants depend on.
+    """Return the cache key of an object's variants.
 
-    Of models their names in the recipe: whoever is asked says each time something else.
+    Models enter by their names in the recipe, because their answers differ from call to call.
     """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
@@ -166,7 +166,7 @@ def _key(
 
 
 def _read(path: Path, key: str, folder: Path) -> dict[str, Any] | None:
-    """The record of variants that were made before for the same, if all of them are still there."""
+    """Read the record of variants generated earlier with the same key, if all of their files still exist."""
     try:
         record = json.loads(path.read_bytes())
         whole = record["key"] == key and all((folder / one["asset"]).is_file() for one in record["accepted"])

@@ -1,4 +1,4 @@
-"""Changes of topology: a part more, a part less, another kind of part, where such things exist."""
+"""Topology edits: add, remove or replace parts where such objects exist in the real world."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from simfoundry.spec.models.base import (
 )
 
 SHALLOW = 0.6
-"""A vessel lower than this share of its width has no loop handle: bowls and plates have lugs or a foot."""
+"""Minimum ratio of height to width for a loop handle: bowls and plates have lugs or a foot."""
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """A divider, band or stem less. A handle stays: a mug without one is a cup."""
+    """Remove a divider, band or stem. A handle stays: a mug without one is a cup."""
     parts = {key: part for key, part in parts_of(spec).items() if key not in component.parts}
     return with_parts(spec, parts), f"without its {component.name}"
 
 
 def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """The handle once more, on the other side of a turned body."""
+    """Duplicate the handle on the other side of a solid of revolution."""
     body = next((c for c in components(spec) if c.kind is Kind.VESSEL and c.link == component.link), None)
     handles = [c for c in components(spec) if c.kind is Kind.HANDLE and c.link == component.link]
     if body is None or len(handles) > 1:
@@ -60,7 +60,7 @@ def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
 
 
 def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A loop handle on a vessel that has none, as a mug's."""
+    """Add a mug's loop handle to a vessel that has none."""
     key, profile = _vessel(spec, component)
     if key is None or profile is None or profile.height < SHALLOW * 2 * float(profile.outer[:, 0].max()):
         return None
@@ -72,7 +72,7 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     base = at(parts[key])[2]
     added: dict[Key, PartSpec] = {}
     for name, z, wall in (("lower", low, walls[0]), ("upper", high, walls[1])):
-        start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends within the wall
+        start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends inside the wall
         pose = aimed(np.array([(start + far) / 2, 0.0, z + base]), np.array([1.0, 0.0, 0.0]))
         added[_free(parts, key[0], f"handle_{name}")] = PartSpec(shape=_capsule(thick, far - start), pose=pose)
     grip = PartSpec(shape=_capsule(thick, high - low), pose=aimed(np.array([far, 0.0, (low + high) / 2 + base]), UP))
@@ -81,11 +81,11 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Two short lugs below the rim of a shallow vessel."""
+    """Add two short lugs below the rim of a shallow vessel."""
     key, profile = _vessel(spec, component)
     if key is None or profile is None or profile.height > SHALLOW * 2 * float(profile.outer[:, 0].max()):
         return None
-    if profile.height < 0.03:  # no room for one below the rim of a plate
+    if profile.height < 0.03:  # too little space below the rim of a plate
         return None
     thick, long = rng.uniform(0.004, 0.006), rng.uniform(0.024, 0.036)
     z = profile.rim - rng.uniform(1.2, 1.8) * thick
@@ -100,7 +100,7 @@ def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A turned foot under a vessel."""
+    """Add a ring foot under a vessel."""
     key, profile = _vessel(spec, component)
     if key is None or profile is None or len(spec.links) > 1:
         return None
@@ -109,7 +109,7 @@ def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """One or two round knobs in the place of the bar handle of a drawer."""
+    """Replace the bar handle of a drawer by one or two round knobs."""
     parts = parts_of(spec)
     body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
     out = outward(body, [parts[k] for k in component.parts])
@@ -140,7 +140,7 @@ def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """One knob more, in the middle between two."""
+    """Add a third knob in the middle between two."""
     peers = [c for c in components(spec) if c.kind is Kind.KNOB and c.link == component.link]
     if len(peers) != 2:
         return None
@@ -153,7 +153,7 @@ def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | Non
 
 
 def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A knob on the top of a lid."""
+    """Add a knob on top of a lid."""
     parts = parts_of(spec)
     if any(key[1].startswith("top_knob") for key in parts):
         return None
@@ -166,7 +166,7 @@ def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A divider more, beside the one there is."""
+    """Add a divider beside the existing one."""
     parts = parts_of(spec)
     part = parts[component.parts[0]]
     if not isinstance(part.shape, BoxShape) or part.pose.rpy_deg or part.pose.yaw_deg:
@@ -179,11 +179,11 @@ def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
     room = (low[across] - spot[across], high[across] - spot[across])
     spot[across] += rng.uniform(0.4, 0.6) * max(room, key=abs)
     added = {_free(parts, component.link, "divider_more"): moved(part, spot)}
-    return with_parts(spec, parts | added), "a divider more"
+    return with_parts(spec, parts | added), "an additional divider"
 
 
 def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A low board across an open box."""
+    """Add a low board across an open box."""
     if any(c.kind is Kind.DIVIDER or c.kind is Kind.DRAWER for c in components(spec)):
         return None
     parts = parts_of(spec)
@@ -202,7 +202,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
 
 
 def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Four round feet; all else goes up."""
+    """Add four round feet and raise all other parts."""
     if any(c.kind is Kind.BASE for c in components(spec)):
         return None
     parts = parts_of(spec)
@@ -226,7 +226,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A layer of a stack once more, or one less; never the lowest or the highest."""
+    """Duplicate or remove a layer of a stack, except the lowest and the highest."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: at(parts[k])[2] + bounds([parts[k]])[0][2])
     if len(order) < 4:
@@ -247,24 +247,24 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A berry of a bunch less, from the top, or one more beside the highest."""
+    """Remove a berry from the top of a bunch, or add one beside the highest."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: (at(parts[k])[2], k))
     top = [k for k in order if at(parts[k])[2] > at(parts[order[0]])[2] + 1e-6]
     if rng.integers(0, 2) and len(top) > 2:
         gone = top[int(rng.integers(0, len(top)))]
-        return with_parts(spec, {k: p for k, p in parts.items() if k != gone}), "a berry less"
+        return with_parts(spec, {k: p for k, p in parts.items() if k != gone}), "one berry removed"
     chosen = parts[order[-1]]
     assert isinstance(chosen.shape, SphereShape)
     angle = rng.uniform(0.0, 2 * math.pi)
     step = chosen.shape.sphere * 1.3 * np.array([math.cos(angle), math.sin(angle), 0.5])
     return with_parts(
         spec, parts | {_free(parts, component.link, "berry"): moved(chosen, at(chosen) + step)}
-    ), "a berry more"
+    ), "one berry added"
 
 
 def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A leaf at the stem of a round fruit."""
+    """Add a leaf at the stem of a round fruit."""
     if not any(c.kind is Kind.TURNED for c in components(spec)):
         return None
     parts = parts_of(spec)
@@ -280,7 +280,7 @@ def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A clip along a cap that lies, as a pen's."""
+    """Add a clip along a cap that lies horizontally, as on a pen."""
     parts = parts_of(spec)
     key = component.parts[0]
     low, high = bounds([parts[key]])
@@ -312,11 +312,11 @@ TOPOLOGY = (
     (leaf, (Kind.STEM,)),
     (clip, (Kind.CAP,)),
 )
-"""What can be done to which components."""
+"""Edits and the kinds of components that they apply to."""
 
 
 def _vessel(spec: AssetSpec, component: Component) -> tuple[Key | None, Profile | None]:
-    """The lathe of a vessel that has no handle yet, and its profile."""
+    """Lathe of a vessel that has no handle yet, and its profile."""
     key = lathe_of(spec, component)
     if key is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):
         return None, None
@@ -326,7 +326,7 @@ def _vessel(spec: AssetSpec, component: Component) -> tuple[Key | None, Profile 
 
 
 def _free(parts: dict[Key, PartSpec], link: str, name: str) -> Key:
-    """A name for a new part of a link that no part has."""
+    """Return an unused name for a new part of a link."""
     n, key = 1, (link, name)
     while key in parts:
         n, key = n + 1, (link, f"{name}_{n + 1}")

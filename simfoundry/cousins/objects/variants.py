@@ -1,7 +1,7 @@
-"""Variants of one thing: candidates by number, each checked, kept where it passes and is distinct; from any source.
+"""Variants of one object: numbered candidates from any source, accepted if they pass every check and are distinct.
 
-Candidate k depends on the twin, the axis, the seed and k alone. The first ``count`` that pass, by number, are taken;
-which are distinct depends on those taken before, so that the same call gives the same variants.
+Candidate k depends only on the twin, the axis, the seed and k. The first ``count`` that pass are taken, by number; each
+must be distinct from those taken before, so the same call gives the same variants.
 """
 
 from __future__ import annotations
@@ -42,27 +42,28 @@ from simfoundry.spec.models.cousins import ObjectVariants
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 MOST_TRIES = 25
-"""Candidates for each variant that is wanted, at most."""
+"""Maximum number of candidates per requested variant."""
 
 NOTE = 200
-"""Letters that a note in a document has room for."""
+"""Maximum length of a note in a document [characters]."""
 
 Progress = Callable[[int, int], None]
-"""Hears how many variants there are, and after how many candidates."""
+"""Callback that receives the number of variants so far and of candidates examined."""
 
 
 class Origins(Protocol):
     """A source of candidates."""
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Candidate ``k``, or why there is none; the same for the same arguments."""
+        """Return candidate ``k``, or the reason that there is none; a pure function of its arguments."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """An accepted candidate: ``name`` says the twin and the content, ``spec`` is the whole document, ``files`` what it
-    names beside it; ``changed`` is for people, ``distance`` from the nearest other in units of what is distinct.
+    """An accepted candidate: ``name`` identifies the twin and the content, ``spec`` is the complete document, ``files``
+    are those it names; ``changed`` is a human-readable description, ``distance`` that to the nearest other variant in
+    units of the thresholds for distinct objects.
     """
 
     name: str
@@ -77,13 +78,13 @@ class Variant:
 
     @property
     def file(self) -> str:
-        """The name of its document."""
+        """File name of its document."""
         return f"{self.name}.asset.yaml"
 
 
 @dataclass(frozen=True, eq=False)
 class Refused:
-    """A candidate that was not taken, and why."""
+    """A rejected candidate, with its reasons."""
 
     k: int
     source: str
@@ -91,14 +92,16 @@ class Refused:
     reasons: tuple[Reason, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping for manifests."""
+        """Return a plain mapping for manifests."""
         reasons = [reason.to_json() for reason in self.reasons]
         return {"candidate": self.k, "source": self.source, "changed": list(self.changed), "reasons": reasons}
 
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Accepted and refused variants; ``lacks`` is what the twin itself cannot do, which was not asked of them."""
+    """Accepted and refused variants; ``lacks`` describes abilities that the twin lacks and that were not required of
+    them.
+    """
 
     accepted: tuple[Variant, ...]
     refused: tuple[Refused, ...]
@@ -106,19 +109,19 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Return how often each reason was given, the commonest first."""
+        """Count each reason for rejection, the most frequent first."""
         counts = Counter(reason.code for one in self.refused for reason in one.reasons)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 
 def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-    """Candidates by rules."""
+    """Generate a candidate by rules."""
     try:
         made = draft(item, axis.changes, axis.components, rng_of(seed, item.name, k))
     except MeshError as error:
         return Reason("mesh", str(error))
     if not made.changed:
-        return Reason("rules", f"no rule for {' and '.join(axis.changes)} applies to what it is made of")
+        return Reason("rules", f"no rule for {' and '.join(axis.changes)} applies to its parts")
     return made
 
 
@@ -131,11 +134,11 @@ def variants(
     cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Variants:
-    """The first ``axis.count`` variants of a thing that pass every check and are distinct.
+    """Return the first ``axis.count`` variants of an object that pass every check and are distinct.
 
-    ``sources`` are those of ``axis.sources`` beyond rules, which are always there. Fewer are returned where
-    :data:`MOST_TRIES` candidates for each do not suffice. Raises :class:`SpecError` where the twin itself is not sound,
-    and KeyError for a source that is not given.
+    ``sources`` are those of ``axis.sources`` other than rules, which are always available. Fewer are returned if
+    :data:`MOST_TRIES` candidates per variant do not suffice. Raises :class:`SpecError` if the twin itself is invalid,
+    and KeyError for a missing source.
     """
     known: dict[str, Origins] = {"procedural": procedural, **(sources or {})}
     chosen = [(name, known[name]) for name in axis.sources]
@@ -147,7 +150,7 @@ def variants(
         lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
         twin, first = ObjectBaseline.of(base, needs), likeness(base)
-        # What rules make must not be the twin in another colour; a library holds what it holds, a ball has one shape.
+        # Rule-based variants must not be recolored twins; library entries are given, and a ball has only one shape.
         form = "geometry" in axis.changes and not axis.components and not is_ball(item.spec)
         for k in range(MOST_TRIES * axis.count):
             if len(accepted) == axis.count:
@@ -170,9 +173,9 @@ def variants(
 
 
 def write(variant: Variant, folder: Path) -> Path:
-    """Write a variant's document and the meshes it names below a folder; returns the document's path.
+    """Write a variant's document and its meshes below a folder; return the document's path.
 
-    What is there already by the same name has the same content.
+    An existing file of the same name has the same content.
     """
     for name, data in variant.files.items():
         write_atomically(folder / name, data)
@@ -192,7 +195,9 @@ def _examined(
     cache: Cache | None,
     distinct: Callable[[Variant], Variant | Refused],
 ) -> Variant | Refused:
-    """A draft weighed, named, lowered, seen to be ``distinct``, and checked, the dearest checks last."""
+    """Complete a draft (mass, name, lowering), test that it is ``distinct``, and check it, the most expensive checks
+    last.
+    """
     for name, data in made.files.items():
         write_atomically(folder / name, data)
     lay(made.kept, folder)
@@ -218,15 +223,15 @@ def _examined(
 
 
 def _whole(name: str, path: Path) -> dict[str, bytes]:
-    """A mesh file by the name that a document has for it, and beside it the materials and textures that it names."""
+    """Read a mesh file under its name in the document, with the materials and textures that it names."""
     beside = {Path(name).with_name(other.name).as_posix(): other.read_bytes() for other in companions(path)}
     return {name: path.read_bytes(), **beside}
 
 
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Refused:
-    """The variant with its distance from the nearest of the others, or why it is too near.
+    """Return the variant with its distance to the nearest of the others, or a refusal if it is too close.
 
-    With ``form``, size or shape must differ, whatever the colour.
+    With ``form``, size or shape must differ, regardless of color.
     """
 
     def away(apart: LikenessDistance) -> float:
@@ -241,7 +246,7 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
 
 
 def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
-    """The document with a name by its content, its category, and where it comes from."""
+    """Return the document with a name derived from its content, its category and its origin."""
     plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
     content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
     name = f"{item.name[:50]}_{hashlib.sha256(content.encode()).hexdigest()[:8]}"
@@ -252,7 +257,7 @@ def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str,
 
 
 def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
-    """The document with its category, and only the materials that it uses."""
+    """Return the document with its category, and only the materials that it uses."""
     used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
     materials = {name: material for name, material in spec.materials.items() if name in used}
     return spec.model_copy(update={"category": item.category, "materials": materials})
@@ -263,23 +268,23 @@ def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
 
 
 DOUBT = 0.15
-"""Share by which a density may be off where the material is not in the tables."""
+"""Relative uncertainty of a density if the material is not in the tables."""
 
 BY = "volume and density"
 GIVEN = "the twin's mass, by volume"
 
 
 def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], before: Mapping[str, float]) -> AssetSpec:
-    """The asset with the mass of each link as an estimate.
+    """Return the asset with the mass of each link as an estimate.
 
-    ``volumes`` and ``before`` [m^3] are those of the meshes in the two specs by file. A link whose mass the twin gives
-    weighs in proportion to its volume. Measured inertias of the twin no longer hold, and go.
+    ``volumes`` and ``before`` [m^3] are those of the meshes in the two specs by file. A link whose mass the twin states
+    is scaled in proportion to its volume. Measured inertias of the twin no longer apply and are removed.
     """
     links = {}
     for name, link in spec.links.items():
         own = twin.links.get(name)
         given = quantity_value(own.mass) if own is not None else None
-        if link.density is not None:  # the density is said of the link itself, and holds for it still
+        if link.density is not None:  # the density is stated by the link itself and still applies
             links[name] = link.model_copy(update={"inertial": None})
             continue
         if own is not None and given is not None:
@@ -294,7 +299,7 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 
 
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
-    """The mass of a link [kg] with the least (-1), the written (0) or the greatest (1) densities of its materials."""
+    """Mass of a link [kg] at the lowest (-1), the written (0) or the highest (1) densities of its materials."""
     total = 0.0
     for part in link.parts.values():
         if part.use != "visual":
@@ -318,7 +323,7 @@ def _density(name: str | None, materials: Mapping[str, Material], side: int) -> 
 
 
 def mesh_volume(path: Path) -> float:
-    """The volume [m^3] that a mesh file encloses in its own units."""
+    """Volume [m^3] enclosed by a mesh file, in its own units."""
     parts = read_parts(path)
     offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
     vertices = np.concatenate([p.vertices for p in parts])
@@ -327,5 +332,5 @@ def mesh_volume(path: Path) -> float:
 
 
 def _short(value: float) -> float:
-    """Three digits: more would be a claim."""
+    """Round to three digits, the accuracy of an estimate."""
     return float(f"{max(value, 1e-6):.3g}")

@@ -1,1 +1,1 @@
-"""Recipes: their documents, libraries, variant pools, and the documents that candidates become."""
+"""Recipes: their documents, object libraries, variant pools, and the documents written for candidates."""

@@ -1,4 +1,4 @@
-"""Why a cousin is not accepted: a code to count by, a sentence, and its numbers."""
+"""Results of candidates, and the reasons for rejecting them: a code for statistics, a sentence, and its numbers."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from simfoundry.errors import SimfoundryError
 
 @dataclass(frozen=True)
 class Reason:
-    """``code`` is short and the same for all of a kind; ``text`` a sentence; ``numbers`` what it says, SI units."""
+    """``code`` identifies the kind of reason; ``text`` is a sentence; ``numbers`` are its values in SI units."""
 
     code: str
     text: str
     numbers: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping, for manifests."""
+        """Return a plain mapping for manifests."""
         return {"code": self.code, "text": self.text, "numbers": {k: float(v) for k, v in self.numbers.items()}}
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """No cousin, and why."""
+    """A rejected draw, with its reasons."""
 
     reasons: tuple[Reason, ...]
 
 
 class ImpossibleError(SimfoundryError):
-    """A request that can never be met: each reason is certain before anything is tried."""
+    """A request that can never be satisfied; every reason is certain before any sampling."""
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -43,9 +43,9 @@ class ImpossibleError(SimfoundryError):
 class Candidate:
     """The result of candidate ``index``, counted from 1.
 
-    ``documents`` are the texts of an accepted one by kind (``scene``, ``task``), ``asked`` the predicates that its
-    layout was asked for, ``goal`` is that of its own task, and ``unchecked`` says what could not be looked at.
-    ``reasons`` are those of a rejected one.
+    An accepted candidate has ``documents``, their texts by kind (``scene``, ``task``), ``asked``, the predicates
+    requested of its layout, ``goal``, that of its own task, and ``unchecked``, the checks that could not be made. A
+    rejected one has ``reasons``.
     """
 
     index: int
@@ -57,15 +57,15 @@ class Candidate:
 
     @property
     def accepted(self) -> bool:
-        """Return whether it is a cousin."""
+        """Return whether the candidate is a cousin."""
         return not self.reasons
 
     def files(self) -> dict[str, str]:
-        """The names of its documents by kind: ``000017.scene.yaml``."""
+        """File names of its documents by kind, such as ``000017.scene.yaml``."""
         return {kind: file_of(self.index, kind) for kind in self.documents}
 
     def line(self) -> str:
-        """One line of JSON; the same candidate gives the same bytes."""
+        """Serialize to one line of JSON; equal candidates give equal bytes."""
         data: dict[str, Any] = {"index": self.index}
         if self.accepted:
             data |= {"documents": dict(self.documents), "asked": list(self.asked)}
@@ -77,19 +77,19 @@ class Candidate:
 
     @classmethod
     def of(cls, line: str | bytes) -> Candidate:
-        """The candidate of a line; raises ValueError for anything else."""
+        """Parse a candidate from a line; raises ValueError for anything else."""
         data = json.loads(line)
         try:
             reasons = tuple(Reason(r["code"], r["text"], r["numbers"]) for r in data.get("reasons", ()))
             documents = {str(kind): str(text) for kind, text in data.get("documents", {}).items()}
             if not reasons and not documents:
-                raise ValueError("neither a cousin nor a reason")
+                raise ValueError("neither documents nor reasons")
             asked, unchecked = tuple(data.get("asked", ())), tuple(data.get("unchecked", ()))
             return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons)
         except (KeyError, TypeError, AttributeError) as error:
-            raise ValueError(f"no candidate: {error}") from None
+            raise ValueError(f"not a candidate: {error}") from None
 
 
 def file_of(index: int, kind: str) -> str:
-    """The file of a document of a cousin."""
+    """Return the file name of a cousin's document."""
     return f"{index:06d}.{kind}.yaml"

@@ -1,4 +1,4 @@
-"""A recipe with its twin: the documents, the axes, and what makes two runs the same."""
+"""A recipe with its twin: the documents, the axes, and the fingerprint of a run."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.write import to_data
 
 NOT_COUNTED = ("simfoundry", "extends", "name", "description", "allow", "conflicts", "count", "seed")
-"""What of a recipe makes no difference to a candidate, but for the seed, which may be given with the run."""
+"""Fields of a recipe that do not affect a candidate, and the seed, which may be given with the run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """A checked recipe. ``scene`` is the document of its twin's scene, ``task`` that of the twin if it is a task."""
+    """A checked recipe. ``scene`` is the document of the twin's scene, ``task`` that of the twin if it is a task."""
 
     loaded: Loaded
     scene: Loaded
@@ -40,34 +40,34 @@ class Recipe:
 
     @property
     def spec(self) -> CousinsSpec:
-        """The recipe as its document has it."""
+        """The recipe's document."""
         assert isinstance(self.loaded.spec, CousinsSpec)
         return self.loaded.spec
 
     @property
     def scene_spec(self) -> SceneSpec:
-        """The scene of the twin as its document has it."""
+        """The document of the twin's scene."""
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
     @property
     def task_spec(self) -> TaskSpec | None:
-        """The task of the twin as its document has it."""
+        """The document of the twin's task, if it is a task."""
         return self.task.spec if self.task is not None and isinstance(self.task.spec, TaskSpec) else None
 
     @property
     def twin_file(self) -> Path:
-        """The document of the twin."""
+        """Path of the twin's document."""
         return (self.task or self.scene).path
 
     @property
     def distractors(self) -> tuple[LibraryItem, ...]:
-        """The things that may be put beside the task; raises :class:`ImpossibleError` where there are none."""
+        """Objects that may be added as distractors; raises :class:`ImpossibleError` if there are none."""
         return self._choice[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return what a user should know of the choice of distractors."""
+        """Return notes for the user on the choice of distractors."""
         return self._choice[1]
 
     @cached_property
@@ -87,7 +87,7 @@ class Recipe:
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """The words for the things of the twin, sorted: their names and labels, and their categories or asset names."""
+        """Words for the objects of the twin, sorted: their names, labels, and categories or asset names."""
         from simfoundry.spec.models.asset import AssetSpec
 
         found = set()
@@ -98,7 +98,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """Return what a run is of: the same, the same bytes."""
+        """Return the run's fingerprint; equal fingerprints give equal bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -115,7 +115,7 @@ class Recipe:
         }
 
     def _object_files(self) -> dict[str, str]:
-        """Return what the library of the object axis holds."""
+        """Return the contents of the object axis's library."""
         axis = self.spec.object
         if axis is None or axis.library is None:
             return {}
@@ -129,7 +129,7 @@ def _hash(data: object) -> str:
 
 
 def read_recipe(path: Path, seed: int | None = None) -> Recipe:
-    """The recipe of a document and its twin. Raises :class:`SpecError` with every finding."""
+    """Read a recipe and its twin; raises :class:`SpecError` with every finding."""
     loaded = load_kind(path, "cousins/1")
     spec = loaded.spec
     assert isinstance(spec, CousinsSpec)
@@ -137,15 +137,16 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     task = twin if twin is not None and isinstance(twin.spec, TaskSpec) else None
     scene = twin if task is None or twin is None else twin.used(task.spec.scene)  # type: ignore[union-attr]
     if scene is None or not isinstance(scene.spec, SceneSpec) or scene.path.suffix != ".yaml":
-        message = f"`{spec.twin}` is no scene or task document that another can extend"
+        message = f"`{spec.twin}` is not a scene or task document that another can extend"
         raise SpecError([loaded.finding("SF005", ("twin",), message, "give a .scene.yaml or .task.yaml")])
     return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
 
 
 def claim_project(recipe: Recipe, out: Path) -> Path | None:
-    """Mark the project of a recipe and its cousins where no folder is one; the marker that was written, if one was.
+    """Mark a common project folder of a recipe and its cousins if there is none; return the marker written, or None.
 
-    Raises :class:`OutputError` unless documents in ``out`` can extend the twin: both lie in one project.
+    Raises :class:`OutputError` unless documents in ``out`` can extend the twin, which requires both to be in one
+    project.
     """
     try:
         project = common_project(recipe.loaded.path, recipe.scene.path, out / "cousin.scene.yaml")
@@ -153,7 +154,7 @@ def claim_project(recipe: Recipe, out: Path) -> Path | None:
         root = recipe.scene.root
         raise OutputError(
             f"cousins extend their twin by a relative path, so they must lie in its project, {root}; "
-            f"give a folder below it, as -o {root / 'build' / recipe.spec.name}"
+            f"give a folder below it, such as -o {root / 'build' / recipe.spec.name}"
         ) from None
     for marker, text in markers(project).items():
         write_atomically(marker, text.encode())

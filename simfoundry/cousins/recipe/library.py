@@ -1,7 +1,7 @@
-"""Things to put beside a task: a folder of assets and meshes, each with the mass, volume and density that it has.
+"""Libraries of distractors: a folder of assets and meshes, with the measured mass, volume and density of each.
 
-What a thing weighs is what its lowered asset weighs; its volume is that of its convex parts, so of a cup it is that of
-the wall. Both are measured once and kept in the cache.
+The mass is that of the lowered asset; the volume is that of its convex parts, which for a cup is that of its wall. Both
+are measured once and cached.
 """
 
 from __future__ import annotations
@@ -29,20 +29,22 @@ from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import DistractorAxis, ValueRange
 
 VERSION = "library facts 2"
-"""Changes with what is measured."""
+"""Version of the measured data; part of the cache key."""
 
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
-"""Of a mesh that nobody has weighed [kg/m^3]: household things float or sink, the hollow ones float."""
+"""Assumed density of a mesh without a stated mass [kg/m^3]: solid household objects are denser or lighter than
+water, and hollow ones float.
+"""
 
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
-"""Stems of files that say nothing: the folder has the name."""
+"""Generic file stems, for which the folder's name is used instead."""
 
 
 @dataclass(frozen=True)
 class LibraryItem:
-    """A thing of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounds.
+    """An object of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounding box.
 
-    ``stated`` says whether its document gives the category; otherwise that is what its file is called.
+    ``stated`` is true if its document gives the category; otherwise the category is derived from the file's name.
     """
 
     name: str
@@ -56,11 +58,11 @@ class LibraryItem:
 
     @property
     def density(self) -> float:
-        """Mass over volume [kg/m^3]."""
+        """Mass divided by volume [kg/m^3]."""
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """Return how a scene describes it, with its file under ``reference``."""
+        """Return the object's entry in a scene, with its file under ``reference``."""
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -69,7 +71,7 @@ class LibraryItem:
 
 @dataclass(frozen=True)
 class Library:
-    """The things of a folder by name, and what of it cannot be used, with the reason."""
+    """The objects of a folder by name, and its unusable files with the reasons."""
 
     title: str
     items: tuple[LibraryItem, ...]
@@ -77,17 +79,17 @@ class Library:
 
 
 def default_folder() -> Path:
-    """Return the folder of the assets that come with the project."""
+    """Return the folder of the assets that are shipped with the project."""
     return shipped("specs/assets")
 
 
 def read_library(folder: Path, cache: Cache | None = None) -> Library:
-    """The things in a folder and below it: every asset document, and every mesh that none of them names.
+    """Read all objects in a folder and its subfolders: every asset document, and every mesh that none of them names.
 
-    Raises :class:`SimfoundryError` where there is no such folder.
+    Raises :class:`SimfoundryError` if the folder does not exist.
     """
     if not folder.is_dir():
-        raise SimfoundryError(f"there is no library {folder}: give a folder of .asset.yaml documents or meshes")
+        raise SimfoundryError(f"the library {folder} does not exist; give a folder of .asset.yaml documents or meshes")
     items: dict[str, LibraryItem] = {}
     faults = []
     for file in _files(folder):
@@ -102,7 +104,7 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
 
 
 def united(libraries: Sequence[Library]) -> Library:
-    """Several libraries as one, in this order; what is in two of them is there once."""
+    """Merge several libraries in this order, without duplicates."""
     items: dict[str, LibraryItem] = {}
     digests = set[str]()
     for item in (item for of in libraries for item in of.items):
@@ -139,7 +141,7 @@ def _meshes_of(document: Path) -> list[Path]:
 
 
 def name_of(file: Path) -> str:
-    """Return what a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
+    """Derive an object name from a file's path: ``025_mug/textured.obj`` is a ``mug``."""
     stem = file.name.split(".")[0]
     if stem.lower() in _NAMELESS or stem.lower().startswith("google"):
         stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
@@ -148,7 +150,7 @@ def name_of(file: Path) -> str:
 
 
 def names(name: str) -> Iterator[str]:
-    """A name, and others like it: ``mug``, ``mug_2``, ``mug_3``."""
+    """Yield a name and numbered alternatives: ``mug``, ``mug_2``, ``mug_3``."""
     yield name
     k = 2
     while True:
@@ -157,7 +159,7 @@ def names(name: str) -> Iterator[str]:
 
 
 def described(file: Path) -> Loaded:
-    """A scene document that holds nothing but the thing of a file, as if it lay beside it."""
+    """Return a scene document that contains only the object of a file, as if it were in the same folder."""
     name = name_of(file)
     text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
     if not file.name.endswith(ASSET_SUFFIX):
@@ -168,14 +170,14 @@ def described(file: Path) -> Loaded:
 
 @lru_cache(maxsize=1024)
 def lowered(file: Path) -> SceneObject:
-    """The thing of a file, at the origin; kept, as many scenes share it. Raises :class:`SpecError`."""
+    """Lower the object of a file, at the origin; cached because many scenes share it. Raises :class:`SpecError`."""
     from simfoundry.scene.lower import lower
 
     return lower(described(file), Cache.default()).objects[0]
 
 
 def measured(file: Path, cache: Cache) -> LibraryItem:
-    """A file with its facts, from the cache where they are; raises :class:`SpecError` for what is no thing."""
+    """Measure a file, or read the result from the cache; raises :class:`SpecError` for a file that is not an object."""
     from simfoundry.targets.inputs import record
 
     loaded = described(file)
@@ -194,7 +196,7 @@ def measured(file: Path, cache: Cache) -> LibraryItem:
 
 
 def _states_category(scene: Loaded, file: Path) -> bool:
-    """Return whether the document of a thing gives its category; a mesh never does."""
+    """Return whether the document of an object states its category; a mesh never does."""
     from simfoundry.spec.models.asset import AssetSpec
 
     asset = scene.used(file.name)
@@ -210,7 +212,7 @@ def _read(stored: bytes) -> dict[str, Any] | None:
 
 
 def measure(item: SceneObject) -> dict[str, Any]:
-    """Category, mass [kg], volume of the convex parts [m^3] and size [m] of a thing."""
+    """Category, mass [kg], volume of the convex parts [m^3] and size [m] of an object."""
     from simfoundry.scene.object_shapes import bounds
 
     low, high = bounds(item)
@@ -238,16 +240,17 @@ def volume(geometry: Any) -> float:
             return math.pi * geometry.radius**2 * (geometry.height + 4 / 3 * geometry.radius)
         case Mesh():
             return abs(float(mass.mesh(geometry.vertices, geometry.faces).volume))
-    raise TypeError(f"no geometry: {geometry!r}")
+    raise TypeError(f"unknown geometry: {geometry!r}")
 
 
-KIND_OF_TWIN = "a category that the twin has not"
-SHAPE_OF_TWIN = "a category, or a shape that the twin has not"
-"""Two of the filters, in the words of messages."""
+KIND_OF_TWIN = "a category that the twin does not have"
+SHAPE_OF_TWIN = "a category, or a shape that the twin does not have"
+"""Two of the filters, as phrases in messages."""
 
 LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
-"""A thing that nothing names looks like another if its sides differ by at most 1.3 times and its shape by 0.1 (see
-:class:`Apart`): the shipped cup and mug are 0.05 apart in shape, a pot and a bowl 0.08."""
+"""Similarity thresholds for unnamed objects: a ratio of side lengths up to 1.3 and a shape distance up to 0.1 (see
+:class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape, a pot and a bowl by 0.08.
+"""
 
 
 # -- filters -----------------------------------------------------------------------------------------------------------
@@ -255,7 +258,7 @@ LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 @dataclass(frozen=True)
 class FilterStep:
-    """One filter: what it asks for, and what it took away of those that had passed the filters before it."""
+    """One filter: its condition, and the objects it removed from those that had passed the filters before it."""
 
     asks: str
     taken: tuple[LibraryItem, ...]
@@ -264,12 +267,12 @@ class FilterStep:
 def filtered(
     library: Library, axis: DistractorAxis, own: Iterable[str] = (), twin: Callable[[], Sequence[SceneObject]] = tuple
 ) -> tuple[tuple[LibraryItem, ...], list[FilterStep]]:
-    """The things that an axis allows, and what each of its filters took away.
+    """Return the objects that an axis allows, and those that each of its filters removed.
 
-    Where the axis names no categories, what an instruction could mean instead of a thing of the twin is left out: of a
-    second bowl nobody knew which is meant. ``own`` are the words that the twin has for its things: categories, names
-    and labels. A thing of the library that states no category is judged by its name, and where that says nothing, by
-    its size and shape beside the things that ``twin`` returns. Raises :class:`ImpossibleError` where nothing is left.
+    If the axis names no categories, objects that an instruction could confuse with one of the twin are excluded: with a
+    second bowl, "the bowl" would be ambiguous. ``own`` are the words for the twin's objects: categories, names and
+    labels. A library object that states no category is judged by its name, and if that is meaningless, by its size and
+    shape compared to the objects that ``twin`` returns. Raises :class:`ImpossibleError` if nothing remains.
     """
     left, steps = library.items, list[FilterStep]()
     for asks, passes in _filters(axis, tuple(own), twin):
@@ -301,18 +304,18 @@ def _filters(
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Return whether one of the words names an object's kind: by its category, or its name if it states none."""
+    """Return whether one of the words denotes an object's category, or its name if it states no category."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
 
 def _is_nameless(item: LibraryItem) -> bool:
-    """Return whether neither a category nor a word of its name says what a thing is."""
+    """Return whether neither a category nor a word of its name identifies an object."""
     return not item.stated and category_prior(item.name) is None
 
 
 def _resembles(item: LibraryItem, things: Sequence[SceneObject]) -> bool:
-    """Return whether a thing is about as large as one of the others and has about its shape."""
+    """Return whether an object has about the same size and shape as one of the others."""
     mine = _likeness(item.file)
     return any(
         apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
@@ -328,7 +331,7 @@ def _likeness(file: Path) -> Likeness:
 
 
 def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
-    """Return what a user should know of the choice: what was left out beside the twin, and what states no category."""
+    """Return notes for the user on the choice: objects too similar to the twin's, and objects without a category."""
     found = []
     for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
         if step.taken:
@@ -357,7 +360,7 @@ def _within(what: str, bounds: ValueRange) -> Callable[[LibraryItem], bool]:
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
-    """Return how many there were, and what each filter took."""
+    """Return a reason with the number of objects and of those that each filter removed."""
     total = len(library.items)
     text = f"no distractor is left of the {total} in {library.title}"
     numbers = {"library": float(total)}
@@ -377,7 +380,7 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep
 
 
 def _spread(step: FilterStep) -> str:
-    """From what to what the things have of what a filter asks: `` (theirs 0.012 to 4.1)``."""
+    """Range of the filtered quantity over the removed objects, as a phrase: `` (theirs 0.012 to 4.1)``."""
     what = step.asks.split()[0]
     if what not in ("mass", "volume", "density"):
         return ""
@@ -396,5 +399,5 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def facts(item: LibraryItem) -> dict[str, Any]:
-    """A plain mapping, for lists."""
+    """Return a plain mapping for lists."""
     return {**asdict(item), "file": item.file.name, "density": item.density}

@@ -1,4 +1,4 @@
-"""Cousins as documents: what they extend, and only what differs."""
+"""Cousins as overlay documents: a reference to the twin, and only the fields that differ."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
 STILL = 1e-3
-"""A joint that settled no farther from where it is written [m or rad] stays as it is written."""
+"""Joint displacement [m or rad] while settling below which the written position is kept."""
 
 MOST_NAME = 57
-"""Characters of a recipe's name in the names of its cousins, which have six digits besides."""
+"""Maximum length of a recipe's name in the names of its cousins, to which six digits are appended."""
 
 Data = dict[str, Any]
 
@@ -38,10 +38,10 @@ def scene_overlay(
     joints: Mapping[str, Mapping[str, float]],
     relations: tuple[str, ...],
 ) -> str:
-    """The text of a scene that extends the twin's.
+    """Return the text of a scene that extends the twin's.
 
-    ``changes`` are other fields of objects by name, those of new ones too; ``poses`` X_WO are written for the objects
-    that they name, ``joints`` [m or rad] for those that moved; ``relations`` are all that hold.
+    ``changes`` are other fields of objects by name, including new objects; ``poses`` X_WO are written for the objects
+    they name, ``joints`` [m or rad] for those that moved; ``relations`` are all that hold.
     """
     objects: dict[str, Data] = {}
     for name in (*recipe.scene_spec.objects, *(n for n in changes if n not in recipe.scene_spec.objects)):
@@ -64,11 +64,11 @@ def scene_overlay(
 
 
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
-    """The text of a task that extends the twin's, in a scene cousin in which ``moved`` objects stand elsewhere.
+    """Return the text of a task that extends the twin's, in a scene cousin in which ``moved`` objects have other poses.
 
-    What the twin's start says of those is gone, and so are its regions where objects stand elsewhere or the scene is
-    ``crowded`` with more of them: regions are free of the twin's things, not of these. Its rollouts start as the scene
-    stands.
+    Start conditions of the twin about moved objects are removed. So are its start regions if objects moved or the scene
+    is ``crowded`` with more objects, because the regions were free of the twin's objects only. Rollouts start from the
+    scene's layout.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
@@ -88,10 +88,10 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
 
 
 def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
-    """The text of a task of its own, in the scene cousin of the same index, or in the twin's scene.
+    """Return the text of a new task, in the scene cousin of the same index or in the twin's scene.
 
-    It starts as the twin does, but for what the cousin ``moved``; in a scene of its own, as that stands: its regions
-    are free of the twin's things.
+    The task starts like the twin, except for ``moved`` objects. In a scene of its own it starts from that scene's
+    layout, because the twin's start regions were free of the twin's objects only.
     """
     data = to_data(spec)
     if own_scene:
@@ -103,35 +103,35 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
         data |= {"start": {key: value for key, value in start.items() if value}} if any(start.values()) else {}
     data["name"] = named(recipe, index)
     data["scene"] = file_of(index, "scene") if own_scene else relative(recipe.scene.path, out)
-    if own_scene:  # where things may start was found in the twin's layout
+    if own_scene:  # start regions were found in the twin's layout
         data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
     return write_tree(plain_tree(data), TaskSpec)
 
 
 def named(recipe: Recipe, index: int) -> str:
-    """Return what a cousin is called."""
+    """Return the name of a cousin."""
     return f"{recipe.spec.name[:MOST_NAME]}_{index:06d}"
 
 
 def origin(recipe: Recipe, index: int) -> Data:
-    """Return where a cousin comes from."""
+    """Return the origin entry of a cousin."""
     generator = f"simfoundry {simfoundry.__version__}"
     return {"cousin": {"recipe": recipe.spec.name, "seed": recipe.seed, "index": index, "generator": generator}}
 
 
 def relative(file: Path, folder: Path) -> str:
-    """Return how documents in a folder name a file."""
+    """Return the path by which documents in a folder name a file."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def written(poses: Mapping[str, Pose]) -> dict[str, Pose]:
-    """The poses as they will be read back: documents have 0.1 mm and 0.01 deg."""
+    """Round poses to the precision of documents, 0.1 mm and 0.01 deg."""
     return {name: pose(pose_spec(X_WO)) for name, X_WO in poses.items()}
 
 
 def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
-    """Objects that the document places on, in or beside what moved, and so on: they would move along."""
+    """Objects whose documents place them, directly or indirectly, on, in or beside moved objects."""
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     found, todo = set[str](), set(moved)
     while todo:
@@ -142,18 +142,18 @@ def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
 
 
 def named_by(place: Place) -> set[str]:
-    """The objects that a place speaks of."""
+    """Names of the objects that a place refers to."""
     keys = ("on", "inside", *SIDES, *DEPTHS)
     return {str(getattr(place, key)).partition(".")[0] for key in keys if getattr(place, key) is not None}
 
 
 def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """The joints with one axis of some objects that are no longer where the scene has them, by object and joint."""
+    """Single-axis joints that differ from their positions in the scene, by object and joint."""
     found: dict[str, dict[str, float]] = {}
     for name in names:
         for joint in scene.object(name).joints:
             at = state.joints.get(f"{name}.{joint.name}", joint.position)
             if joint.mimic is None and joint.has_axis and abs(at - joint.position) > STILL:
-                low, high = joint.limits or (at, at)  # engines hold limits softly
+                low, high = joint.limits or (at, at)  # engines enforce limits softly
                 found.setdefault(name, {})[joint.name] = round(min(max(at, low), high), 4) + 0.0
     return found

@@ -1,6 +1,7 @@
-"""What the axes of a recipe choose from, found once for all its candidates: other objects, distractors, tasks.
+"""Variant pools: the alternatives for each axis of a recipe (objects, distractors, tasks), found once for all
+candidates.
 
-Files that the cousins need and that lie outside the twin's project are copied below ``OUT/assets``, by content.
+Files that the cousins need from outside the twin's project are copied to ``OUT/assets`` under content-based names.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ if TYPE_CHECKING:
     from simfoundry.cousins.tasks.proposals import TaskCousin
 
 ASSETS = "assets"
-"""The folder below the output for what the cousins bring along."""
+"""Folder below the output for copied assets."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Another thing for an object: its document, and how cousins name it."""
+    """A replacement for an object: its document, and the path by which cousins name it."""
 
     file: Path
     reference: str
@@ -46,7 +47,7 @@ class Choice:
 class VariantPool:
     """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
 
-    ``most`` is how many candidates differ, None where there is no end of them.
+    ``most`` is the number of distinct candidates, None if it is unbounded.
     """
 
     choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
@@ -55,7 +56,7 @@ class VariantPool:
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
-        """Combination ``k`` of choices, from 0 on; each comes once before one comes again."""
+        """Return combination ``k`` of choices, counted from 0; none is repeated before all have occurred."""
         found = {}
         for name, of in self.choices.items():
             k, digit = divmod(k, len(of))
@@ -64,20 +65,20 @@ class VariantPool:
 
 
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """Return what a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
+    """Collect the alternatives for each axis; raises :class:`ImpossibleError` if an axis has none."""
     from simfoundry.cousins.recipe.variant_pool import tasks_of
 
     others, tasks = choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
     most = None
-    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
+    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout varies
         most = math.prod(map(len, others.values())) * max(1, len(tasks))
     return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
 def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice, ...]]:
-    """The variants of each object that varies, made once and written below ``OUT/assets/objects``.
+    """Return the variants of each object that varies, generated once and written below ``OUT/assets/objects``.
 
-    ``vlm`` names a model that may be asked for them, where the recipe names none.
+    ``vlm`` names the model to query if the recipe names none.
     """
     from simfoundry.cousins.objects.generation import SourceSetup
     from simfoundry.cousins.objects.swap import made_for
@@ -92,7 +93,9 @@ def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice,
 
 
 def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
-    """Return how cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
+    """Return the paths by which cousins in ``out`` name library objects; files outside the project ``root`` are copied
+    first.
+    """
     return {item.name: _reference(item, root, out) for item in items}
 
 
@@ -103,7 +106,7 @@ def _reference(item: LibraryItem, root: Path, out: Path) -> str:
 
 
 def copied(file: Path, folder: Path) -> Path:
-    """A copy in ``folder`` of a mesh, or of an asset document whole, with the files that they name."""
+    """Copy a mesh, or a flattened asset document, to ``folder`` with the files that it names."""
     from simfoundry.spec.load import load_kind
     from simfoundry.spec.models.asset import AssetSpec
     from simfoundry.spec.yaml.tree import plain_tree
@@ -129,7 +132,7 @@ def copied(file: Path, folder: Path) -> Path:
 
 
 def _copy_mesh(mesh: Path, folder: Path) -> None:
-    """Copy a mesh with its materials and textures, as far as they lie beside it."""
+    """Copy a mesh with those of its materials and textures that are in its folder."""
     from simfoundry.scene.robot_files import companions
 
     beside = mesh.parent.resolve()
@@ -148,9 +151,9 @@ FILE = "tasks.json"
 
 
 def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
-    """The tasks of a recipe, by rank; none where its tasks do not vary. ``vlm`` names a model that may be asked.
+    """Return the tasks of a recipe by rank; empty if its tasks do not vary. ``vlm`` names a model to query.
 
-    Raises :class:`ImpossibleError` where nothing can be done in the twin.
+    Raises :class:`ImpossibleError` if no task is possible in the twin.
     """
     from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
     from simfoundry.robots.reach import hands_of
@@ -175,11 +178,11 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
 
 
 def _task(text: str, path: Path) -> TaskSpec:
-    """A kept task; raises :class:`OutputError` where somebody has changed it into none."""
+    """Parse a stored task; raises :class:`OutputError` if it has been edited into an invalid one."""
     try:
         spec, _ = validate(TaskSpec, parse(text))
     except YamlError:
         spec = None
     if spec is None:
-        raise OutputError(f"{path} is damaged; remove it, and the tasks are found anew")
+        raise OutputError(f"{path} is damaged; remove it to generate the tasks again")
     return spec

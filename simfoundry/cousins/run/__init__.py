@@ -1,1 +1,1 @@
-"""Runs: candidates by number, worker pools, the log, and reports on what was accepted."""
+"""Runs: numbered candidates, worker pools, the log, and reports on accepted cousins."""

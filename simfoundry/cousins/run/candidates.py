@@ -1,6 +1,7 @@
-"""Candidate k of a recipe: a pure function of the recipe, its twin, the seed and k, in whatever process it is called.
+"""Sampling of candidate k of a recipe: a pure function of the recipe, its twin, the seed and k, in any process.
 
-The axes in turn: other objects, another layout, distractors, another task. Then everything settles and is checked.
+The axes are sampled in turn: other objects, another layout, distractors, another task. Then the scene is settled and
+checked.
 """
 
 from __future__ import annotations
@@ -25,17 +26,19 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.files import is_document
 
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
-"""Makes the sampler that a worker calls for each candidate."""
+"""Factory of the sampler that a worker calls for each candidate."""
 
 KEPT_TWINS = 8
-"""Twins with other or more objects that are kept prepared, about 10 MB each: recipes with few choices need no more."""
+"""Number of prepared twins with other or more objects kept in memory, about 10 MB each; recipes with few choices need
+no more.
+"""
 
 
 @dataclass(frozen=True)
 class SamplerSetup:
-    """The recipe, the seed and the output folder: all that a process needs to make candidates.
+    """The recipe, the seed and the output folder: everything that a process needs to sample candidates.
 
-    ``vlm`` names a model, which the process that begins a run may ask.
+    ``vlm`` names a model that the process starting a run may query.
     """
 
     recipe: str
@@ -46,7 +49,7 @@ class SamplerSetup:
 
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
-    """Makes the candidates of a recipe in one process; they share its twin and what its axes choose from."""
+    """Samples the candidates of a recipe in one process; all share its twin and variant pool."""
 
     recipe: Recipe
     out: Path
@@ -56,13 +59,13 @@ class CandidateSampler:
 
     @classmethod
     def load(cls, setup: SamplerSetup) -> CandidateSampler:
-        """Read the recipe, let the twin come to rest, and find what its axes choose from."""
+        """Read the recipe, settle the twin, and collect the variant pool."""
         recipe, out = read_recipe(Path(setup.recipe), setup.seed), Path(setup.out)
         twin = Twin.load(recipe.twin_file, Cache.default())
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, setup.vlm))
 
     def require_possible(self) -> None:
-        """Raise :class:`ImpossibleError` if what the recipe asks for can never be."""
+        """Raise :class:`ImpossibleError` if the recipe can never be satisfied."""
         twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
         asks = placement_constraints(twin, axis) if axis is not None else None
         places = twin.places if distractors is not None else ()
@@ -73,7 +76,7 @@ class CandidateSampler:
                 raise ImpossibleError(full)
 
     def __call__(self, index: int) -> Candidate:
-        """Return candidate ``index``, from 1 on."""
+        """Return candidate ``index``, counted from 1."""
         draw = _draw(self, index)
         if isinstance(draw, Rejected):
             return Candidate(index, reasons=draw.reasons)
@@ -83,7 +86,7 @@ class CandidateSampler:
         return _written(self, draw, found, index)
 
     def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
-        """Return the twin with other objects in the place of some, and more that are not there yet."""
+        """Return the twin with some objects replaced, and with more objects that are not placed yet."""
         if not others and not added:
             return self.twin
         files = {**{n: choice.file for n, choice in others.items()}, **{n: item.file for n, item in added.items()}}
@@ -99,7 +102,7 @@ class CandidateSampler:
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """A random draw: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
+    """A random draw: the ``twin`` with ``others`` replacing its objects and more ``added``, and its ``layout``."""
 
     twin: Twin
     layout: Layout
@@ -108,12 +111,12 @@ class _Draw:
 
     @property
     def is_moved(self) -> bool:
-        """Return whether anything is not as in the twin, so that it has to settle."""
+        """Return whether anything differs from the twin, so that the scene must be settled."""
         return bool(self.layout.poses or self.others or self.added)
 
 
 def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
-    """The axes in turn; every one has chance of its own, so that one more changes nothing for the others."""
+    """Sample the axes in turn; each has its own random stream, so that adding one does not change the others."""
     by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
     spec, pool = shared.recipe.spec, shared.pool
     if pool.most is not None:
@@ -131,7 +134,7 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
 
 
 def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
-    """Things from the library, none twice before each was taken once, by names that the scene has not yet."""
+    """Choose distractors from the library, without repetition until all are used, under names new to the scene."""
     axis = shared.recipe.spec.distractors
     if axis is None:
         return {}
@@ -154,7 +157,7 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
-    """The documents of an accepted draw."""
+    """Write the documents of an accepted draw."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents: dict[str, str] = {}
     if found is not None:
@@ -166,7 +169,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
         for text in draw.layout.asked:
             verdict = draw.twin.judge(text, state)
             if not verdict.value:
-                why = f"{text} holds by so little that it does not as it would be written: {verdict.why}"
+                why = f"{text} holds by less than the rounding of written poses: {verdict.why}"
                 return Candidate(index, reasons=(Reason("too_close", why, {"margin": verdict.margin}),))
         joints = overlay.moved_joints(draw.twin.scene, found.state, poses)
         relations = _relations(draw, state, spec.relations)
@@ -191,7 +194,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Return why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
+    """Reasons why the twin's task is impossible with replaced objects that are each acceptable on their own."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.proposals import context_at
@@ -204,7 +207,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
-    """Return what the documents say of other and of new things, but for where they are."""
+    """Return the document fields of replaced and new objects, except their poses."""
     found: dict[str, overlay.Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
@@ -223,11 +226,11 @@ def _of_links() -> tuple[str, ...]:
 
 
 _OF_LINKS = _of_links()
-"""Fields of an object that an asset document decides for its links."""
+"""Fields of an object that an asset document determines for its links."""
 
 
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what holds: of what the twin states, then what was asked for, then what new things stand on."""
+    """Return the relations that hold: those stated by the twin, those requested, and the supports of new objects."""
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:
@@ -236,6 +239,6 @@ def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, .
 
 
 def _below(draw: _Draw, state: Any, name: str) -> list[str]:
-    """The fixed things that one stands on."""
+    """Fixed objects that an object stands on."""
     fixed = [item.name for item in draw.twin.scene.objects if item.fixed]
     return [on for on in fixed if draw.twin.judge(f"OnTop({name}, {on})", state).value][:1]

@@ -1,7 +1,7 @@
-"""What is known of candidates, on disk: lines that are only ever added, so that a kill at any moment loses one at most.
+"""Append-only log of examined candidates: a kill at any moment loses at most one line.
 
-``OUT/.cousins/log.jsonl`` is of runs of the whole, ``log-2-of-4.jsonl`` of a shard. Each line is on the disk before the
-next is begun; of a line that is torn nothing is believed, and it is cut off before anything is added.
+``OUT/.cousins/log.jsonl`` belongs to complete runs, ``log-2-of-4.jsonl`` to a shard. Each line is flushed to disk
+before the next is written; a torn line is ignored, and truncated before anything is appended.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from simfoundry.errors import OutputError
 from simfoundry.runtime.files import writing_atomically
 
 WORK = ".cousins"
-"""The folder of a run's own files below its output."""
+"""Folder of a run's internal files below its output."""
 
 WHOLE = "log.jsonl"
 
 
 class LogEntry(NamedTuple):
-    """The place of a candidate's line in a log, and whether the candidate is accepted."""
+    """The position of a candidate's line in a log, and whether the candidate is accepted."""
 
     file: Path
     start: int
@@ -33,17 +33,17 @@ class LogEntry(NamedTuple):
 
 
 def log_file(out: Path, shard: tuple[int, int] | None) -> Path:
-    """The log of a run, or of a shard (i, n) of it."""
+    """Return the log file of a run, or of its shard (i, n)."""
     return out / WORK / (WHOLE if shard is None else f"log-{shard[0]}-of-{shard[1]}.jsonl")
 
 
 def logs(out: Path) -> list[Path]:
-    """Every log of a folder of cousins, that of the whole first."""
+    """Return every log of a folder of cousins, starting with that of the complete run."""
     return sorted((out / WORK).glob("log*.jsonl"), key=lambda path: (path.name != WHOLE, path.name))
 
 
 def read_places(file: Path) -> dict[int, LogEntry]:
-    """The whole lines of a log by index of the candidate. Raises :class:`OutputError` for what is no log."""
+    """Index the complete lines of a log by candidate; raises :class:`OutputError` if the file is not a log."""
     found: dict[int, LogEntry] = {}
     if not file.is_file():
         return found
@@ -55,8 +55,8 @@ def read_places(file: Path) -> dict[int, LogEntry]:
             index = _index(line)
             if index is None:
                 raise OutputError(
-                    f"{file}:{number} is no line of a log of cousins; move the file away, and its candidates "
-                    "are examined anew"
+                    f"{file}:{number} is not a line of a log of cousins; move the file away to have its candidates "
+                    "examined again"
                 )
             found[index] = LogEntry(file, start, len(line), b'"reasons":' not in line[:40])
             start += len(line)
@@ -72,19 +72,19 @@ def _index(line: bytes) -> int | None:
 
 
 class Reader:
-    """Reads candidates back from their places; the files stay open between two reads."""
+    """Reader of candidates at known positions; files stay open between reads."""
 
     def __init__(self) -> None:
         self._open: dict[Path, int] = {}
 
     def line(self, place: LogEntry) -> bytes:
-        """The line at a place."""
+        """Read the line at a position."""
         if place.file not in self._open:
             self._open[place.file] = os.open(place.file, os.O_RDONLY)
         return os.pread(self._open[place.file], place.length, place.start)
 
     def candidate(self, place: LogEntry) -> Candidate:
-        """The candidate at a place."""
+        """Read the candidate at a position."""
         return Candidate.of(self.line(place))
 
     def close(self) -> None:
@@ -104,7 +104,7 @@ class Reader:
 
 
 class Log:
-    """A log that is added to; one process at a time."""
+    """An append-only log with a single writer process."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -114,7 +114,7 @@ class Log:
         self._cut_torn_line()
 
     def add(self, candidate: Candidate) -> LogEntry:
-        """Write a candidate, so that it outlives a kill of the machine."""
+        """Append a candidate durably, so that it survives a crash of the machine."""
         line = candidate.line().encode() + b"\n"
         start = self._stream.tell()
         self._stream.write(line)
@@ -123,7 +123,7 @@ class Log:
         return LogEntry(self.file, start, len(line), candidate.accepted)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file and release its lock."""
         self._stream.close()
 
     def __enter__(self) -> Self:
@@ -146,9 +146,9 @@ class Log:
 
 
 def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int, LogEntry]:
-    """Make one log of the lines at ``places`` by index, in their order, in the place of all that are there.
+    """Replace all logs by a single one with the lines at ``places``, by index and in their order.
 
-    Returns where the lines are now.
+    Return the new positions.
     """
     old, now = logs(out), dict[int, LogEntry]()
     whole, start = out / WORK / WHOLE, 0
@@ -164,7 +164,7 @@ def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int,
 
 
 def _lock(handle: int, file: Path) -> None:
-    """Hold the file until it is closed; where files cannot be locked nothing is held."""
+    """Lock the file until it is closed; does nothing on file systems without locks."""
     try:
         import fcntl
     except ImportError:
@@ -172,6 +172,8 @@ def _lock(handle: int, file: Path) -> None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise OutputError(f"another run writes to {file.parent.parent} right now; wait for it, or stop it") from None
+        raise OutputError(
+            f"another run writes to {file.parent.parent} at the moment; wait for it to end, or stop it"
+        ) from None
     except OSError:
         return

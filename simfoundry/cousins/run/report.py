@@ -1,7 +1,7 @@
-"""``manifest.json``: what a run was asked for, every cousin, and every rejected candidate with its reasons and numbers.
+"""``manifest.json``: the request of a run, every cousin, and every rejected candidate with its reasons and numbers.
 
-It is written line by line, so that it may be longer than the memory, and says nothing of when, where, or by how many
-processes: the same run gives the same bytes.
+It is streamed line by line, so it may exceed the memory, and contains no times, paths or numbers of processes: equal
+runs give equal bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FILE = MANIFEST
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
-    """The figures of a run with those of its variants; ``end`` is complete, hopeless or exhausted."""
+    """Statistics of a run and of its variants; ``end`` is complete, hopeless or exhausted."""
     return {
         "simfoundry": VERSION,
         **plan.about,
@@ -71,7 +71,7 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of a folder of cousins; raises :class:`OutputError` where there is none."""
+    """Read the manifest of a folder of cousins; raises :class:`OutputError` if there is none."""
     path = folder / FILE
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -79,11 +79,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             return dict(data)
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    raise OutputError(f"{path} is no manifest of cousins")
+    raise OutputError(f"{path} is not a manifest of cousins")
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
-    """Return how a run stands, in few words: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
+    """Summarize the progress of a run: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
     text = f"{len(ledger.accepted)} of {ledger.wanted}"
     if ledger.examined:
         text += f", {ledger.rate:.0%} accepted"
@@ -93,7 +93,7 @@ def told(ledger: Ledger, top: int = 3) -> str:
 
 
 def examples(ledger: Ledger) -> dict[str, str]:
-    """For each reason, most frequent first, the sentence of the first candidate that it rejected."""
+    """Return an example of each reason, most frequent first: the sentence for the first candidate that it rejected."""
     found: dict[str, str] = {}
     with Reader() as reader:
         for place in ledger.counted():
@@ -105,11 +105,11 @@ def examples(ledger: Ledger) -> dict[str, str]:
 
 
 WIDTH = 384
-"""Of a picture [px]."""
+"""Image size [px]."""
 
 
 def draw(file: Path) -> bytes | None:
-    """A PNG of a scene from its viewpoint, or its first camera; None where it has no camera."""
+    """Render a PNG of a scene from its viewpoint, or its first camera; None if it has no camera."""
     from simfoundry.assets.cache import Cache
     from simfoundry.render.montage import png_bytes
     from simfoundry.scene.lower import lower
@@ -125,7 +125,7 @@ def draw(file: Path) -> bytes | None:
 
 
 def view(scene: Scene, spec: SceneSpec) -> Camera | None:
-    """The camera of the viewpoint, or the first, with a small picture; None without cameras."""
+    """Return the viewpoint's camera, or the first, with a small image; None without cameras."""
     cameras = {camera.name: camera for camera in scene.cameras}
     camera = cameras.get(spec.viewpoint or "") or next(iter(cameras.values()), None)
     if camera is None:

@@ -1,7 +1,7 @@
-"""What is known of the candidates of a run, and where it ends. It depends on nothing but the candidates themselves.
+"""The state of a run and its end, which depend only on the candidates themselves.
 
-Cousins are the first N accepted candidates by index: what lies beyond the last of them, or is known before one of lower
-index, changes nothing. So workers, their order, kills and shards leave no trace.
+Cousins are the first N accepted candidates by index. Candidates beyond the last of them, or examined out of order,
+change nothing, so the result does not depend on workers, their order, kills or shards.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 
 PATIENCE = 200
-"""So many candidates are examined before a recipe counts as too hard."""
+"""Number of candidates examined before a recipe may count as too hard."""
 
 LEAST_RATE = 0.005
-"""A recipe of whose candidates fewer than this share is accepted is too hard."""
+"""Minimum acceptance rate; below it a recipe counts as too hard."""
 
 
 class RunEnd(StrEnum):
-    """The end of a run, or that it goes on."""
+    """The end of a run, or OPEN while it goes on."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -40,11 +40,11 @@ class RunEnd(StrEnum):
 
 @dataclass
 class Ledger:
-    """Counts candidates ``first``, ``first + step``, … in this order, as far as all are known.
+    """Counts candidates ``first``, ``first + step``, … in this order, up to the first unknown one.
 
-    ``wanted`` are to be accepted; ``most`` is the last index that there is, None without end. ``known`` is where each
-    candidate stands; ``accepted`` are the indices of those that count, ``totals`` how many candidates each reason
-    rejected, ``unchecked`` what could not be looked at in some that are accepted.
+    ``wanted`` is the number to accept; ``most`` is the last existing index, None if unbounded. ``known`` maps
+    candidates to their log entries; ``accepted`` lists the counted accepted ones, ``totals`` the number of rejections
+    per reason, and ``unchecked`` the checks that could not be made for some accepted ones.
     """
 
     wanted: int
@@ -63,21 +63,21 @@ class Ledger:
 
     @property
     def examined(self) -> int:
-        """Return how many candidates count."""
+        """Number of counted candidates."""
         return (self.next_index - self.first) // self.step
 
     @property
     def last(self) -> int:
-        """The index of the last that counts."""
+        """Index of the last counted candidate."""
         return self.next_index - self.step
 
     @property
     def rate(self) -> float:
-        """Return which share of those that count is accepted."""
+        """Share of the counted candidates that are accepted."""
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
-        """Count on as far as candidates are known, or the run ends."""
+        """Count further, until a candidate is unknown or the run ends."""
         while self.end is RunEnd.OPEN and self.next_index in self.known:
             place = self.known[self.next_index]
             candidate = reader.candidate(place)
@@ -92,15 +92,15 @@ class Ledger:
             self.end = RunEnd.EXHAUSTED
 
     def counted(self) -> Iterator[LogEntry]:
-        """Return where the candidates that count stand, in order."""
+        """Yield the log entries of the counted candidates in order."""
         return (self.known[k] for k in self.indices())
 
     def indices(self) -> range:
-        """The candidates that count, in order."""
+        """Indices of the counted candidates, in order."""
         return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
-        """Indices that are not known, in order; more than are needed, as nobody knows how many those are."""
+        """Yield unknown indices in order, without end if the number of candidates is unbounded."""
         index = self.next_index
         while not self._is_beyond(index):
             if index not in self.known:
@@ -119,21 +119,21 @@ class Ledger:
 
 
 AHEAD = 32
-"""So many candidates for each worker may be known before one of lower index is."""
+"""Number of candidates per worker that may be examined ahead of the first unknown one."""
 
 MANIFEST = "manifest.json"
-"""What a run says of itself when it is done, in its folder."""
+"""File of the final report of a run, in its folder."""
 
 Heard = Callable[[Ledger], None]
-"""Hears the ledger after each candidate."""
+"""Callback that receives the ledger after each candidate."""
 
 
 @dataclass(frozen=True)
 class RunPlan:
     """The aim of a run: ``wanted`` cousins in ``out``; equal ``about`` gives equal bytes.
 
-    ``shard`` (i, n), i from 1, examines every n-th candidate from the i-th on, and writes no cousins. ``most`` is how
-    many candidates there are, None without end; ``variants`` what came of each object that varies.
+    ``shard`` (i, n), with i from 1, examines every n-th candidate starting at i, and writes no cousins. ``most`` is the
+    number of candidates, None if unbounded; ``variants`` are the counts for each object that varies.
     """
 
     out: Path
@@ -144,7 +144,7 @@ class RunPlan:
     variants: tuple[VariantCount, ...] = ()
 
     def ledger(self) -> Ledger:
-        """An empty ledger of the run; a shard takes its share of what is wanted."""
+        """Return an empty ledger; a shard accepts its share of the wanted cousins."""
         if self.shard is None:
             return Ledger(self.wanted, most=self.most)
         first, step = self.shard
@@ -152,7 +152,9 @@ class RunPlan:
 
 
 def begin(plan: RunPlan) -> None:
-    """Make the folder of a run, or see that the one that is there is of the same; raises :class:`OutputError`."""
+    """Create the folder of a run, or verify that an existing one has the same fingerprint; raises
+    :class:`OutputError`.
+    """
     path = plan.out / WORK / "run.json"
     if path.is_file():
         found = _read(path)
@@ -160,13 +162,15 @@ def begin(plan: RunPlan) -> None:
             if found.get(key) != value:
                 differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
                 raise OutputError(
-                    f"{plan.out} holds cousins of another run: its {key} {differs}; write to another folder, or remove "
-                    "that one"
+                    f"{plan.out} holds cousins of another run: its {key} {differs}; choose another folder or remove "
+                    "this one"
                 )
         return
     strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []
     if strange:
-        raise OutputError(f"{plan.out} holds {sorted(strange)[0]}, which is of no run of cousins; give an empty folder")
+        raise OutputError(
+            f"{plan.out} holds {sorted(strange)[0]}, which does not belong to a run of cousins; choose an empty folder"
+        )
     write_atomically(path, (json.dumps(plan.about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
@@ -174,11 +178,11 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, TypeError):
-        raise OutputError(f"{path} is damaged; remove it, and the run goes on from its logs") from None
+        raise OutputError(f"{path} is damaged; remove it to continue the run from its logs") from None
 
 
 def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
-    """Examine candidates until the plan is met or cannot be; what the logs know already is not examined again."""
+    """Examine candidates until the plan is met or cannot be; candidates in the logs are not examined again."""
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
         if plan.shard is None:
@@ -201,24 +205,26 @@ def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda 
 
 
 def _clear_half_written(out: Path) -> None:
-    """Remove what killed runs left of documents and manifests. The log's lock sees to it that no other writes them."""
+    """Remove partly written documents and manifests of killed runs. The log's lock ensures that no other run writes
+    them.
+    """
     for pattern in (".[0-9]*.yaml.*", f".{MANIFEST}.*"):
         for left in out.glob(pattern):
             left.unlink(missing_ok=True)
 
 
 def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
-    """Raise :class:`OutputError` where cousins of a longer run would be left over."""
+    """Raise :class:`OutputError` if the folder has cousins beyond the wanted number."""
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         raise OutputError(
-            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; "
-            "write to another folder, or ask for as many as before"
+            f"{plan.out} holds {len(beyond)} documents of cousins beyond the {plan.wanted} requested; "
+            "choose another folder, or request as many as before"
         )
 
 
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
-    """Candidates that were not known, as they are done; the pool is kept busy until the ledger is at its end."""
+    """Yield newly examined candidates as they finish; keep the pool busy until the ledger reaches its end."""
     todo, running = ledger.unknown(), 0
     index = next(todo, None)
     while ledger.end is RunEnd.OPEN:
@@ -231,16 +237,16 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def _is_near(index: int, ledger: Ledger, pool: CandidatePool) -> bool:
-    """Return whether a candidate is near enough to those that count, so that memory and vain work stay bounded."""
+    """Return whether a candidate is close enough to the counted ones; this limits memory and wasted work."""
     return index - ledger.next_index < AHEAD * ledger.step * pool.size
 
 
 def _nothing(candidate: Candidate) -> None:
-    """A shard does not know which of its candidates will count."""
+    """Write nothing: a shard does not know which of its candidates will count."""
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:
-    """Write the documents of a cousin, unless they are there as they should be."""
+    """Write the documents of a cousin, unless identical ones exist."""
     for kind, name in candidate.files().items():
         path, data = out / name, candidate.documents[kind].encode()
         if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):
@@ -248,5 +254,5 @@ def write_documents(out: Path, candidate: Candidate) -> None:
 
 
 def finish(plan: RunPlan, ledger: Ledger) -> None:
-    """Leave one log, of the candidates that count and nothing else, in their order."""
+    """Reduce the logs to a single one that contains exactly the counted candidates in order."""
     ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

@@ -1,7 +1,7 @@
-"""All cousins on one USD stage: the twin with everything that any of them has, and a variant set that chooses one.
+"""All cousins on one USD stage: the twin with the union of their objects, and a variant set that selects a cousin.
 
-``NAME.usda`` refers to a build of that whole beside it, ``NAME/usd``. Each variant of the set ``cousin`` poses what
-moved, chooses the variants of swapped things, and takes away what it has not; ``twin`` is the twin itself.
+``NAME.usda`` references a build of that union beside it, ``NAME/usd``. Each variant of the set ``cousin`` poses moved
+objects, selects the variants of replaced objects, and deactivates absent ones; ``twin`` is the twin itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from simfoundry.spec.models import base
 from simfoundry.spec.yaml.text import parse
 
 SET, TWIN = "cousin", "twin"
-"""The variant set, and its variant that is the twin."""
+"""Name of the variant set, and of its variant for the twin."""
 
 _HEAD = """\
 #usda 1.0
@@ -51,9 +51,9 @@ Objects = Mapping[str, Mapping[str, Any]]
 
 
 def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
-    """Write the stage of a run's cousins; raises :class:`OutputError` where they have no scenes of their own."""
+    """Write the stage of a run's cousins; raises :class:`OutputError` if they have no scenes of their own."""
     if path.suffix != ".usda":
-        raise OutputError(f"a stage is written as text: call it {path.with_suffix('.usda').name}")
+        raise OutputError(f"a stage is written as text; name it {path.with_suffix('.usda').name}")
     added: dict[str, Mapping[str, Any]] = {}
     others: dict[str, dict[str, str]] = {}
     for _, objects in _cousins(ledger):
@@ -75,7 +75,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """Yield what each cousin says of its objects."""
+    """Yield the object entries of each cousin's document."""
     with Reader() as reader:
         for place in ledger.counted():
             candidate = reader.candidate(place) if place.accepted else Candidate(0)
@@ -88,7 +88,7 @@ def _variant(asset: str) -> str:
 
 
 def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
-    """The twin's scene, lowered, with everything that cousins add, and what they put in another's place as variants."""
+    """Lower the twin's scene with all objects that cousins add, and with replacements as variants."""
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.recipe.overlay import relative
     from simfoundry.scene.lower import lower
@@ -120,7 +120,7 @@ def _head(path: Path) -> str:
 
 
 def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:
-    """One variant of the set."""
+    """Format one variant of the set."""
     lines = [f'        "{name}" {{', '            over "Objects"', "            {"]
     lines += [f'                over "{other}" (active = false) {{}}' for other in added if other not in objects]
     for thing, data in objects.items():

@@ -1,6 +1,6 @@
-"""Pools that examine candidates: processes of this machine, or a Ray cluster; both give the same candidates.
+"""Worker pools that examine candidates: local processes or a Ray cluster; both give the same candidates.
 
-A pool is handed indices and gives back candidates in whatever order they are done.
+A pool receives indices and returns candidates in order of completion.
 """
 
 from __future__ import annotations
@@ -19,65 +19,65 @@ from simfoundry.runtime.extras import install_line
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
 SILENCE_S = 600.0
-"""More than a candidate may take, with all that its process has to prepare before the first [s]."""
+"""Timeout of a candidate [s], including the preparation of its process before the first one."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """The work of a process for each candidate: it calls what ``factory`` (``module:name``) makes of ``arguments``."""
+    """The job of a worker process: call the object that ``factory`` (``module:name``) creates from ``arguments``."""
 
     factory: str
     arguments: tuple[Any, ...] = ()
 
     def sampler(self) -> Callable[[int], Candidate]:
-        """Make the sampler of candidates by index."""
+        """Create the function that samples a candidate by index."""
         module, _, name = self.factory.partition(":")
         made: Callable[[int], Candidate] = attrgetter(name)(import_module(module))(*self.arguments)
         return made
 
 
 _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
-"""Sampler of a worker process, made for its first candidate: a worker serves one run, and ends with it."""
+"""Sampler of a worker process, created for its first candidate; a worker serves one run and ends with it."""
 
 
 def line_of(work: Work, index: int) -> str:
-    """Return the line of a candidate, which is what travels between processes."""
+    """Return the serialized line of a candidate, the format passed between processes."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()
 
 
 class CandidatePool(Protocol):
-    """Examines candidates, ``size`` of them at a time."""
+    """A pool that examines ``size`` candidates at a time."""
 
     size: int
 
     def submit(self, index: int) -> None:
-        """Ask for a candidate."""
+        """Request a candidate."""
         ...
 
     def next(self) -> Candidate:
-        """The next that is done, of those that were asked for."""
+        """Return the next of the requested candidates to finish."""
         ...
 
     def close(self) -> None:
-        """Stop, whatever is going on."""
+        """Stop all work in progress."""
         ...
 
 
 class LocalPool:
-    """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
+    """Local processes; a candidate whose process crashes or hangs is tried once more, and then rejected."""
 
     def __init__(self, work: Work, size: int) -> None:
         self.work, self.size = work, size
         self._pool = WorkerPool(size, Limits.shared(SILENCE_S, size))
 
     def submit(self, index: int) -> None:
-        """Ask for a candidate."""
+        """Request a candidate."""
         self._pool.submit(index, f"{__name__}:line_of", self.work, index, attempts=2)
 
     def next(self) -> Candidate:
-        """Wait for the next."""
+        """Wait for the next candidate."""
         index, result = self._pool.next()
         return failed(index, result.how) if isinstance(result, WorkerError) else Candidate.of(result)
 
@@ -87,14 +87,14 @@ class LocalPool:
 
 
 def failed(index: int, how: str) -> Candidate:
-    """A candidate of which no more is known than how its process failed."""
+    """Return a candidate whose only known result is the failure of its process."""
     return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
 
 
 class RayPool:
-    """Actors of a Ray cluster: the one that ``RAY_ADDRESS`` names, or one that is started on this machine.
+    """Actors on a Ray cluster: the one named by ``RAY_ADDRESS``, or a new one on this machine.
 
-    Every node sees the recipe and the output under the same paths, as on a shared file system.
+    Every node must see the recipe and the output under the same paths, for example on a shared file system.
     """
 
     def __init__(self, work: Work, size: int | None) -> None:
@@ -113,12 +113,12 @@ class RayPool:
         self._running: dict[Any, tuple[int, Any]] = {}
 
     def submit(self, index: int) -> None:
-        """Ask for a candidate."""
+        """Request a candidate."""
         self._waiting.append(index)
         self._hand_out()
 
     def next(self) -> Candidate:
-        """Wait for the next."""
+        """Wait for the next candidate."""
         done, _ = self._ray.wait(list(self._running), num_returns=1)
         index, actor = self._running.pop(done[0])
         self._idle.append(actor)
@@ -152,10 +152,11 @@ class _Actor:
 
 
 def _connect(ray: Any, size: int | None) -> None:
-    """The cluster of ``RAY_ADDRESS``, or one of this machine whose processes import what this one does.
+    """Connect to the cluster of ``RAY_ADDRESS``, or start one on this machine with the same import path as this
+    process.
 
-    Ray lets processes import from the folder that the driver is in before all else: inside a checkout that would be the
-    checkout, whatever is installed. So it is called from an empty folder.
+    Ray puts the driver's working directory first on the import path, which inside a checkout would shadow the installed
+    package. Therefore Ray is started from an empty folder.
     """
     import logging
     import sys
@@ -173,5 +174,5 @@ def _connect(ray: Any, size: int | None) -> None:
 
 
 def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> CandidatePool:
-    """Open a pool of ``local`` processes or of actors on ``ray``; ``jobs`` of them, by default one for each core."""
+    """Open a pool of ``jobs`` ``local`` processes or actors on ``ray``, by default one per core."""
     return RayPool(work, jobs) if where == "ray" else LocalPool(work, jobs or os.cpu_count() or 1)

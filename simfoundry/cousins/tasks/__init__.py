@@ -1,1 +1,1 @@
-"""Task cousins: other things that can be done in a scene, proposed from its affordances or by a model, and proved."""
+"""Task cousins: other feasible tasks in a scene, proposed from its affordances or by a model, and verified."""

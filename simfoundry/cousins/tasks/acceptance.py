@@ -1,4 +1,4 @@
-"""Whether a proposed task is one: its names exist, its goal is a change, it can be done, and it is new."""
+"""Acceptance of proposed tasks: names exist, the goal requires a change, it is feasible, and it is new."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call
 from simfoundry.spec.models.task import TaskSpec
 
 MOST_PREDICATES = 16
-"""A goal of more predicates is not tried."""
+"""Maximum number of predicates in a goal."""
 
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTask:
-    """A task that can be done, by its name and goal.
+    """A feasible task, by its name and goal.
 
-    ``state`` is one at rest in which it is done; None where a hand has to hold something for that.
+    ``state`` is a state at rest in which the goal holds; None if that requires a hand to hold an object.
     """
 
     name: str
@@ -32,7 +32,7 @@ class AcceptedTask:
     state: SceneState | None = None
 
     def covers(self, goal: Any, setting: TaskContext) -> bool:
-        """Return whether another goal about the same objects is reached where this one is."""
+        """Return whether reaching this goal also reaches another goal about the same objects."""
         if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
             return False
         return setting.twin.judge(goal, self.state).value
@@ -41,21 +41,21 @@ class AcceptedTask:
 def accept(
     task: TaskSpec | Any, setting: TaskContext, known: Sequence[AcceptedTask] = ()
 ) -> AcceptedTask | tuple[Reason, ...]:
-    """A task, or a goal alone, with a state in which it is done; or why it is refused, each reason with its numbers.
+    """Return a task, or a goal alone, with a state in which it is achieved; or the reasons for refusing it.
 
-    It is refused where one of the ``known`` tasks asks for the same, or ends in a state in which it is done, too.
+    It is refused if one of the ``known`` tasks has the same goal, or ends in a state in which this one is achieved too.
     """
     name, goal = (task.name, task.goal) if isinstance(task, TaskSpec) else ("", task)
     if found := misnamed(goal, setting):
         return found
     for other in known:
         if meaning(other.goal) == meaning(goal):
-            return (Reason("duplicate", f"its goal is that of `{other.name}`"),)
+            return (Reason("duplicate", f"it has the same goal as `{other.name}`"),)
     if found := unchanged(goal, setting):
         return found
     for other in known:
         if other.covers(goal, setting):
-            return (Reason("duplicate", f"it is done where `{other.name}` is"),)
+            return (Reason("duplicate", f"it is achieved whenever `{other.name}` is"),)
     shown = witness(setting, goal)
     if not isinstance(shown, Witness):
         return shown
@@ -64,23 +64,23 @@ def accept(
 
 
 def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
-    """Names of the known tasks that ask for less than a new one, which does them along the way, each with the reason.
+    """Return the known tasks that a stricter new task achieves along the way, by name, each with the reason.
 
-    The new one is none of theirs: :func:`accept` has refused what a known task does along the way.
+    The reverse cannot occur, because :func:`accept` has refused a new task that a known one achieves along the way.
     """
     return [
-        (other.name, Reason("duplicate", f"it is done where `{new.name}` is, which asks for more"))
+        (other.name, Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is"))
         for other in known
         if new.covers(other.goal, setting)
     ]
 
 
 def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Names that the scene does not have, and predicates that are not known or not allowed in a goal."""
+    """Return reasons for names missing from the scene, and for predicates unknown or not allowed in goals."""
     found: list[Reason] = []
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
-        text = f"a goal has 1 to {MOST_PREDICATES} predicates, not {len(every)}"
+        text = f"a goal must have 1 to {MOST_PREDICATES} predicates, but this one has {len(every)}"
         return (Reason("bad_goal", text, numbers(predicates=len(every))),)
     for text in every:
         try:
@@ -91,7 +91,7 @@ def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
             continue
         if call.predicate not in (*ALLOWED, "Released"):
             found.append(
-                Reason("not_allowed", f"`{call.predicate}` may not be asked for; allowed: {', '.join(ALLOWED)}")
+                Reason("not_allowed", f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}")
             )
         found += _unknown(call, setting)
     return tuple({reason.text: reason for reason in found}.values())
@@ -115,12 +115,14 @@ def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
             if part not in names:
                 found.append(Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}"))
     if len(call.args) == 2 and call.args[0] == call.args[1]:
-        found.append(Reason("bad_goal", f"{call} is about one thing only"))
+        found.append(Reason("bad_goal", f"{call} needs two different objects"))
     return found
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return whether there is nothing to do: the goal holds at the start, or asks for nothing to come true."""
+    """Return a reason if there is nothing to do: the goal holds at the start, or only asks that something not
+    be true.
+    """
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)
@@ -129,19 +131,19 @@ def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     if verdict.value:
         return (Reason("already_true", f"it is true at the start: {verdict.why}", numbers(margin=verdict.margin)),)
     if not any(call.predicate != "Released" for way in branches(goal) for call in way):
-        return (Reason("no_change", "it asks for nothing to come true, only that something is not"),)
+        return (Reason("no_change", "it only requires conditions to be false, and none to become true"),)
     return ()
 
 
 def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Things of a goal that no hand gets to where they are."""
+    """Return reasons for objects of a goal that no hand can reach at their poses."""
     names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
     there = {o.name: o for o in setting.twin.scene.objects}
     found: list[Reason] = []
     for name in names:
         item = there.get(name.partition(".")[0])
         if item is not None and item.name != setting.twin.ground and not found:
-            # Which level of a shelf is reached, and from where, was proved in the twin; its top may be too high.
+            # Reachable shelf levels and directions were verified in the twin; the top may be too high.
             several = levels(setting, name, setting.twin.state)
             reach = setting.too_far if several else setting.cannot_reach
             found += reach(name, *setting.bounds(name))
@@ -149,6 +151,6 @@ def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 
 def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return why no state is found in which a goal is true."""
+    """Return the reasons if no state is found in which a goal is true."""
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

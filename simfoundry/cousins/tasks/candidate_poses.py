@@ -1,4 +1,4 @@
-"""Ways in which a thing may be put: how it is turned, and where it comes down."""
+"""Candidate poses for placing objects: orientations, and positions at which they are released."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
 
 QUARTER = math.pi / 2
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))
-"""Roll and pitch on top of how a thing stands: as it is, on each of four sides, on its head."""
+"""Roll and pitch relative to an object's standing orientation: unchanged, on each of four sides, upside down."""
 
 YAWS = (0.0, QUARTER, QUARTER / 2)
 SPREAD = 6
-"""Places over a target besides its middle and that of its cavity."""
+"""Number of positions over a target besides its center and that of its cavity."""
 
 STILL = 1e-3
-"""What has moved by no more than this [m] stands where it was: levels are of one height to a millimetre."""
+"""Displacement [m] up to which an object counts as unmoved; levels have one height within a millimeter."""
 
 GAPS = (0.02, 0.05, 0.1)
-"""How far beside a thing another is put [m]."""
+"""Gap between objects placed beside each other [m]."""
 
 SIDES = {"Behind": (1, 0), "InFrontOf": (-1, 0), "LeftOf": (0, 1), "RightOf": (0, -1)}
-"""Where a thing is put for a predicate, in the viewer's frame: x away, y left."""
+"""Direction in which each predicate places an object, in the viewer's frame: x away, y left."""
 
 
 def turns(setting: TaskContext, name: str) -> list[Array]:
-    """Quaternions (wxyz) of a thing to try: as it stands first."""
+    """Orientations of an object to try as quaternions (wxyz), its standing orientation first."""
     item = setting.twin.scene.object(name)
     standing = Pose.of(q=setting.twin.state.poses[name].q)
     round_ = all(c.geometry.__class__.__name__ == "Sphere" for link in item.links for c in link.colliders)
@@ -49,7 +49,7 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
 
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
-    """Return where the middle of an object may come down for a predicate: x, y in the world [m], the likely first."""
+    """Positions of an object's center to try for a predicate: x, y in the world [m], the most likely first."""
     if call.predicate in SIDES or call.predicate == "NextTo":
         return list(_beside(setting, call, state))
     if call.predicate == "At":
@@ -72,11 +72,11 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """The levels of an object that has several, the highest first; none where it is not where the twin has it.
+    """Return the levels of an object that has several, the highest first; empty if it is not at its pose in the twin.
 
-    What is named by a link comes down on that link alone.
+    For a target that names a link, only levels of that link are returned.
     """
-    X_WO = setting.twin.state.poses.get(target)  # a link has none
+    X_WO = setting.twin.state.poses.get(target)  # links have no entry
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
         return ()
     found = setting.twin[target].levels[::-1]
@@ -84,7 +84,7 @@ def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Suppor
 
 
 def spots(level: Support) -> Iterator[tuple[float, float]]:
-    """Places on a level: x and y in the world [m], its middle first."""
+    """Yield positions on a level: x and y in the world [m], its center first."""
     yield level.middle
     low, high = level.bounds
     for k in range(1, SPREAD + 1):
@@ -93,7 +93,7 @@ def spots(level: Support) -> Iterator[tuple[float, float]]:
 
 
 def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
-    """The middle of the cavity of a thing or of a link of it in the world [m], shape (3,); None without one."""
+    """Center of the cavity of an object or link in the world [m], shape (3,); None without a cavity."""
     owner = target.partition(".")[0]
     for link, found in cavities(setting, target):
         item = setting.twin.scene.object(owner)
@@ -103,7 +103,7 @@ def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None
 
 
 def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
-    """The cavities of the links that a target names."""
+    """Cavities of the links that a target names."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
     body = bodies[thing.owner]
@@ -112,7 +112,7 @@ def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
 
 
 def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
-    """Return whether a point in a link's frame [m], shape (3,), is in none of its parts."""
+    """Return whether a point in a link's frame [m], shape (3,), is outside of all its parts."""
     body = Bodies(setting.twin.scene)[owner]
     form = body.forms[body.index(link)]
     parts = [] if form is None else range(len(form.parts.radius))
@@ -120,14 +120,14 @@ def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """Return how large the cavity of a thing is, for a sentence."""
+    """Describe the size of an object's cavity as a phrase."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""
 
 
 def across(hole: Cavity) -> float:
-    """Return how wide a cavity is at its widest [m], from the ball around it."""
+    """Largest width of a cavity [m], from its bounding sphere."""
     return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
 
 
@@ -157,21 +157,21 @@ def _halton(k: int, base: int) -> float:
 
 
 SYMMETRIC = ("NextTo", "Touching")
-"""Predicates that hold both ways."""
+"""Symmetric predicates."""
 
 MIRRORED = {"Under": "Above", "RightOf": "LeftOf", "InFrontOf": "Behind"}
-"""Predicates that say the same as another with its arguments changed round."""
+"""Predicates that equal another with its arguments swapped."""
 
 AT_REST = ("OnTop", "Inside")
-"""Predicates that ask of their first argument that nothing holds it: Released adds nothing to them."""
+"""Predicates that already require the first argument to be released; Released adds nothing to them."""
 
 Meaning = tuple[Any, ...]
 
 
 def meaning(goal: Any) -> Meaning:
-    """A goal in one form: order, repetition and choice of words do not count, nor does Released where it is implied.
+    """Return a goal's normal form, which ignores order, repetition, synonyms and an implied Released.
 
-    Raises :class:`~simfoundry.spec.models.expressions.ExpressionError` for what is no goal.
+    Raises :class:`~simfoundry.spec.models.expressions.ExpressionError` if it is not a goal.
     """
     found = _reduced(goal)
     if found[0] != "all":
@@ -203,7 +203,7 @@ def _call(call: Call) -> tuple[str, ...]:
 
 
 def conjuncts(condition: Any) -> list[Call]:
-    """The predicates that must all come true; those below ``any`` and ``not`` are left out."""
+    """Return the predicates that must all become true; those below ``any`` and ``not`` are excluded."""
     tag, below = parts(condition)
     if tag == "text":
         return [parse_call(condition)]
@@ -211,14 +211,14 @@ def conjuncts(condition: Any) -> list[Call]:
 
 
 def objects_of(condition: Any) -> tuple[str, ...]:
-    """The names of the objects and robots that a goal is about, in its order."""
+    """Names of the objects and robots in a goal, in its order."""
     calls = [parse_call(text) for text, _ in texts(condition)]
     named = [arg for call in calls for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"]
     return tuple(dict.fromkeys(name.partition(".")[0] for name in named))
 
 
 def goal_words(condition: Any) -> str:
-    """A goal as one line: ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
+    """Format a goal as one line: ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
     tag, below = parts(condition)
     if tag == "text":
         return str(condition)
@@ -229,7 +229,7 @@ def goal_words(condition: Any) -> str:
 
 
 def branches(condition: Any) -> list[list[Call]]:
-    """Ways to make a goal true: in each the predicates to bring about; what must not be is left out."""
+    """Return alternative sets of predicates that make a goal true; negated conditions are excluded."""
     tag, below = parts(condition)
     if tag == "text":
         return [[parse_call(condition)]]
@@ -244,4 +244,4 @@ def branches(condition: Any) -> list[list[Call]]:
 
 
 MOST = 8
-"""So many ways to make a goal true are tried."""
+"""Maximum number of alternatives tried."""

@@ -1,4 +1,6 @@
-"""From where a hand can come to a thing: from above, or, where something is over it, from an open side."""
+"""Context of a task: the twin, the hands that act in it, and the directions from which they can reach an object: from
+above, or, if it is covered, from an open side.
+"""
 
 from __future__ import annotations
 
@@ -33,20 +35,21 @@ if TYPE_CHECKING:
 UP = np.array([0.0, 0.0, 1.0])
 
 ROOM = 0.3
-"""So much must be free behind a thing [m]: a hand and the wrist that follows it, 0.25 m of a Panda."""
+"""Free distance required in the direction of approach [m]: a hand and the wrist that follows it, 0.25 m for a Panda."""
 
 LIFT = 0.01
-"""How high a thing is lifted on its way in or out [m]: above what a board sags, and the lip of a board."""
+"""Lift height of an object on its way in or out [m]: more than a board's sag and the height of its lip."""
 
 FINGERS = 0.04
-"""How far fingers stand out of a hand [m]: the shortest of the known ones, those of a Panda, 0.045 m."""
+"""Finger length beyond the hand [m]: the shortest of the known ones, that of a Panda, 0.045 m."""
 
 HALF_THICK, HALF_WIDE = 0.035, 0.1
-"""Half of a hand across its fingers' way and along it [m]: a Panda's hand is 63 mm thick and 204 mm wide."""
+"""Half extents of a hand across and along the finger motion [m]; a Panda's hand is 63 mm thick and 204 mm wide."""
 
 TURNS, TILTS = 12, (0.0, math.radians(30.0))
-"""Directions around a thing, and how far a hand that comes from the side looks down [rad]: level, or a little, so that
-it clears the board on which something low lies."""
+"""Number of directions around an object, and the downward pitch of a side approach [rad]: level, or slightly inclined
+to clear the board on which a low object lies.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ class Approach:
 
     @property
     def upright(self) -> Pose:
-        """The turn of the world that has the hand come from above."""
+        """Rotation of the world that turns this approach into one from above."""
         x, y, _ = self.side.tolist()
         lean = math.atan2(math.hypot(x, y), float(self.side[2]))
         turn = math.atan2(y, x)
@@ -69,9 +72,9 @@ ABOVE = Approach(UP, UP)
 
 
 def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
-    """Return how a hand can come to a thing in a state: from above, or else from each open side.
+    """Return the possible approaches to an object in a state: from above, or else from each open side.
 
-    None where it is shut in.
+    Empty if the object is enclosed.
     """
     low, high = setting.bounds(name, state)
     own = {name, *setting.twin.riders(name)}
@@ -94,11 +97,13 @@ def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Appr
 
 
 _CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
-"""The middle of a top and four points around it, as shares of its half sides."""
+"""Center of a top face and four points around it, as shares of its half extents."""
 
 
 def _outline(low: Array, high: Array, way: Array) -> list[Array]:
-    """Points of a box, lifted a little, that lead along a level way [m]: its middle and its ends across and upwards."""
+    """Points of a slightly lifted box to sweep along a horizontal direction [m]: its center and its ends across and
+    upward.
+    """
     middle, half = (low + high) / 2 + LIFT * UP, (high - low) / 2
     across = np.array([-way[1], way[0], 0.0])
     wide = float(np.abs(across) @ half)
@@ -107,7 +112,7 @@ def _outline(low: Array, high: Array, way: Array) -> list[Array]:
 
 
 def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[Array]:
-    """Return where the middle and the edges of the hand are that takes a box from a side [m]."""
+    """Center and edge points of a hand that grasps a box from a side [m]."""
     palm = middle + side * max(float(np.abs(side) @ half), FINGERS)
     across = np.array([-way[1], way[0], 0.0])
     thick = np.cross(side, across)
@@ -115,7 +120,7 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 
 
 def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
-    """All other objects that are near enough to be in the way."""
+    """Other objects close enough to obstruct an approach."""
     from simfoundry.scene.object_shapes import hulls
     from simfoundry.scene.state import object_at
 
@@ -139,14 +144,14 @@ def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -
 
 
 SLACK = 0.001
-"""A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
+"""Tolerance [m] on the finger opening, because openings are given in whole millimeters."""
 
 
 @dataclass(frozen=True, eq=False)
 class TaskContext:
-    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none.
+    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, or None.
 
-    What is done must last in all ``engines``; MuJoCo, in which it is tried out, is always one.
+    A result must hold in all ``engines``; MuJoCo, used for the trials, is always one of them.
     """
 
     twin: Twin
@@ -163,18 +168,18 @@ class TaskContext:
         payload: float | None = None,
         engines: tuple[str, ...] = ("mujoco",),
     ) -> TaskContext:
-        """The setting of a scene document. Raises :class:`SpecError`, or :class:`TwinError` where it does not rest.
+        """Load the context of a scene document. Raises :class:`SpecError`, or :class:`TwinError` if it does not settle.
 
-        ``payload`` [kg] is what each robot lifts, where it is not what is known of it.
+        ``payload`` [kg] overrides the known payload of each robot.
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
         return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec.robots, payload), path, engines=engines)
 
-    # -- where things are ---------------------------------------------------------------------------------------------
+    # -- object poses and joints ------------------------------------------------------------------------------------
 
     def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
-        """The corners [m] of the box around an object, or around a link of it, in the world; shape (3,) each."""
+        """Corners [m] of the bounding box of an object or link in the world, shape (3,) each."""
         owner, _, part = name.partition(".")
         state = state or self.twin.state
         item = self.twin.scene.object(owner)
@@ -187,7 +192,7 @@ class TaskContext:
         return ends[:, 0], ends[:, 1]
 
     def joints(self, argument: str) -> tuple[Joint, ...]:
-        """The joints that open and are named by ``object`` or ``object.joint``; none where there are none."""
+        """Joints named by ``object`` or ``object.joint`` that can be opened; empty if there are none."""
         owner, _, part = argument.partition(".")
         return tuple(
             joint
@@ -195,10 +200,10 @@ class TaskContext:
             if joint.has_axis and joint.limits is not None and (not part or part in (joint.name, joint.child))
         )
 
-    # -- what hands can do with it ------------------------------------------------------------------------------------
+    # -- feasible actions ---------------------------------------------------------------------------------------------
 
     def cannot_take(self, name: str) -> tuple[Reason, ...]:
-        """Return why no hand can pick a thing up where it is; empty where one can."""
+        """Return the reasons why no hand can pick up an object at its present pose; empty if one can."""
         if name not in self.kept:
             self.kept[name] = tuple(self._taken(name))
         return self.kept[name]
@@ -210,26 +215,27 @@ class TaskContext:
         found = []
         mass = sum(link.mass for link in item.links)
         if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
-            text = f"`{name}` weighs {mass:.2f} kg, and the robot lifts {most:g} kg"
+            text = f"`{name}` weighs {mass:.2f} kg, but the robot lifts {most:g} kg"
             found.append(Reason("too_heavy", text, numbers(mass_kg=mass, payload_kg=most)))
         drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
-        # What lies in a drawer is taken out once that is open, so what is over it now does not count.
+        # Objects in a drawer are taken out after it is opened, so obstacles above them now do not count.
         return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
 
     def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
-        """Return why no hand holds an object in a state: from above or, with something over it, from an open side.
+        """Return the reasons why no hand can hold an object in a state: from above or, if it is covered, from an open
+        side.
 
-        ``ways`` are the approaches to look at; by default all that are free.
+        ``ways`` are the approaches to consider, by default all that are free.
         """
         if not self.hands:
             return ()
         ways = approaches(self, name, state) if ways is None else ways
         if not ways:
-            return (Reason("covered", f"no hand gets to `{name}`: something is over it, and no side of it is open"),)
+            return (Reason("covered", f"no hand can reach `{name}`: it is covered, and no side of it is open"),)
         found: tuple[Reason, ...] = ()
         bounds = self.bounds(name, state)
         for way in ways:
-            # From above it was measured where the thing is picked up.
+            # The grasp from above was measured at the pick-up pose.
             known = way is ABOVE and state is not self.twin.state
             lacks = (*(() if known else self._too_wide(name, state, way)), *self.cannot_reach(name, *bounds, way))
             if not lacks:
@@ -245,26 +251,26 @@ class TaskContext:
         width, widest = grasp_width(solid(self.twin.item_at(name, X_WO))), max(openings)
         if width <= widest + SLACK:
             return ()
-        narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
-        text = f"`{name}` {narrow}, and the fingers open {length(widest)}"
+        narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped"
+        text = f"`{name}` {narrow}, but the fingers open {length(widest)}"
         return (Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
-        """Return why no hand gets to a thing between two corners in the world [m].
+        """Return the reasons why no hand can reach an object between two corners in the world [m].
 
-        By inverse kinematics where it can be.
+        Inverse kinematics is used if available.
         """
         if lacks := self.too_far(name, low, high):
             return lacks
         solved = self.twin.robots.reach(low, high, approach.side.tolist(), approach.way.tolist())
         if solved.checked and not solved.reached:
             comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
-            text = f"no arm gets {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            text = f"no arm can get {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
             return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
         return ()
 
     def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
-        """Return why what is between two corners in the world [m] is farther away than any hand reaches."""
+        """Return the reasons why a box between two corners in the world [m] is out of every hand's reach."""
         middle = ((low + high) / 2)[:2].tolist()
         miss = nearest_miss(self.hands, [math.dist(middle, hand.at) for hand in self.hands]) if self.hands else None
         if miss is None:
@@ -274,5 +280,5 @@ class TaskContext:
 
 
 def numbers(**values: float) -> Mapping[str, float]:
-    """Numbers of a reason."""
+    """Return the numbers of a reason as a mapping."""
     return MappingProxyType({name: float(value) for name, value in values.items()})

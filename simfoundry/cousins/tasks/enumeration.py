@@ -1,4 +1,6 @@
-"""An accepted idea as a task document: instruction, goal, steps, and where its things may start."""
+"""Enumeration of tasks: ideas are accepted or refused, and written as documents with instruction, goal, steps and
+starts.
+"""
 
 from __future__ import annotations
 
@@ -25,17 +27,17 @@ from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
 from simfoundry.spec.yaml.write import to_yaml
 
 MINUTE_PART = 450
-"""Control steps for one step of a task: 30 s at 15 Hz, as the paper's tasks have."""
+"""Control steps allowed per task step: 30 s at 15 Hz, as in the paper's tasks."""
 
 NAME = 64
-"""Letters of a name at most."""
+"""Maximum length of a name."""
 
 REGION, LEAST = 0.02, 0.005
-"""Half the side of the region in which a thing starts [m]; where its neighbours leave less than the least, none."""
+"""Maximum and minimum half extent of an object's start region [m]; if its neighbors leave less, there is no region."""
 
 
 def task_of(idea: Idea, setting: TaskContext, scene: str, note: str) -> TaskSpec:
-    """The document of an idea; ``scene`` is the scene's file relative to it, ``note`` says where it comes from."""
+    """Return the document of an idea; ``scene`` is the scene's relative path, ``note`` states the origin."""
     released = [f"Released({thing})" for thing in idea.things]
     goal: Any = {"all": (*idea.goal, *released)} if len(idea.goal) + len(released) > 1 else idea.goal[0]
     return task(idea.name, setting, scene, instruction_of(idea), goal, subtasks(idea, setting), note)
@@ -44,7 +46,7 @@ def task_of(idea: Idea, setting: TaskContext, scene: str, note: str) -> TaskSpec
 def task(
     name: str, setting: TaskContext, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
 ) -> TaskSpec:
-    """A task document from its parts, which are sound."""
+    """Assemble a task document from valid parts."""
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
     return TaskSpec.model_validate(
@@ -63,7 +65,7 @@ def task(
 
 
 def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
-    """Touch, pick up and place each thing; open and close what is to be opened and closed."""
+    """Return the steps of an idea: touch, pick up and place each object; open and close joints."""
     found: dict[str, Subtask] = {}
     for step in idea.steps:
         if step.thing:
@@ -73,7 +75,7 @@ def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
-    """The steps to take a thing: touch it, and hold it."""
+    """Return the steps to grasp an object: touch it, then hold it."""
     hands = [hand.name for hand in setting.hands]
     if not hands:
         return {}
@@ -86,7 +88,7 @@ def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
-    """Return where the free objects of a task on the ground may start: about where they are, clear of all others."""
+    """Return start regions for the task's free objects on the ground: around their poses, clear of all others."""
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
     hulls_of = {o.name: setting.bounds(o.name) for o in twin.scene.objects if o.name != twin.ground}
@@ -109,13 +111,13 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
 
 
 def _gap(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
-    """Return how far two boxes are apart along the ground, in the direction in which they are farthest [m]."""
+    """Distance between two boxes along the horizontal axis on which they are farther apart [m]."""
     apart = np.maximum(low[:2] - other_high[:2], other_low[:2] - high[:2])
     return float(apart.max())
 
 
 def instruction_of(idea: Idea) -> str:
-    """Return what a policy is told: the steps in plain words."""
+    """Return the instruction for a policy: the steps in plain words."""
     words = [step.words for step in idea.steps]
     if len(idea.steps) == 1 and idea.steps[0].thing:
         thing = idea.things[0].replace("_", " ")
@@ -129,7 +131,7 @@ def _sentence(words: str) -> str:
 
 
 def free_name(wanted: str, taken: set[str]) -> str:
-    """A valid name that is not taken: the wanted one, or with a number behind it."""
+    """Return a valid name that is not taken: the wanted one, or with a number appended."""
     plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
     plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
     name, k = plain, 2
@@ -139,14 +141,14 @@ def free_name(wanted: str, taken: set[str]) -> str:
 
 
 Progress = Callable[[int, int], None]
-"""Told how many are accepted and how many were looked at."""
+"""Callback that receives the number of accepted proposals and of those examined."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed task; ``reasons`` why it is not accepted, none where it is. ``task`` is None where none can be made.
+    """A proposed task with the ``reasons`` against it, empty if accepted. ``task`` is None if no document can be made.
 
-    ``goal`` is what it asks for, as text.
+    ``goal`` is the goal as text.
     """
 
     name: str
@@ -156,7 +158,7 @@ class Proposal:
 
     @property
     def accepted(self) -> bool:
-        """Return whether nothing speaks against it."""
+        """Return whether there is no reason against the task."""
         return not self.reasons
 
 
@@ -170,11 +172,11 @@ class Proposals:
 
     @property
     def names(self) -> set[str]:
-        """Those of the accepted tasks."""
+        """Names of the accepted tasks."""
         return {task.name for task in self.accepted}
 
     def add(self, name: str, goal: str, made: TaskSpec) -> None:
-        """Propose a task; where it is accepted, those that are done along the way are not any more."""
+        """Propose a task; if it is accepted, withdraw those that it achieves along the way."""
         new = accept(made, self.setting, self.accepted)
         if isinstance(new, tuple):
             self.found.append(Proposal(name, goal, made, new))
@@ -194,12 +196,12 @@ def enumerate_tasks(
     objects: tuple[str, ...] = (),
     progress: Progress = lambda accepted, seen: None,
 ) -> list[Proposal]:
-    """Proposals until ``count`` are accepted, or all that there are; those that are not accepted say why.
+    """Propose tasks until ``count`` are accepted or none are left; refused ones state their reasons.
 
-    ``scene`` is the scene's file relative to the documents, ``objects`` those that a task may be about. The same
-    setting and seed give the same proposals.
+    ``scene`` is the scene's path relative to the documents, ``objects`` those that a task may be about. The same
+    context and seed give the same proposals.
     """
-    note = f"task cousin of `{setting.twin.scene.name}`, from what its things afford"
+    note = f"task cousin of `{setting.twin.scene.name}`, from the affordances of its objects"
     proposed = Proposals(setting)
     for idea in ranked(setting, seed, objects):
         if len(proposed.accepted) == count:
@@ -212,11 +214,12 @@ def enumerate_tasks(
 
 
 def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
-    """Ideas, the likely ones first, and of those that are alike the ones whose things were least used so far."""
+    """Yield ideas, the most likely first, and among similar ones those with the least used objects first."""
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)
     groups = dict.fromkeys(idea.about for idea in every)
-    draw = dict(zip(groups, rng.random(len(groups)).tolist(), strict=True))  # of the same objects in the ideas' order
+    # Ideas about the same objects share a draw, so they keep their order.
+    draw = dict(zip(groups, rng.random(len(groups)).tolist(), strict=True))
     used: Counter[str] = Counter()
     for odd in sorted({idea.odd for idea in every}):
         left = [idea for idea in every if idea.odd == odd]
@@ -228,7 +231,7 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
 
 
 def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
-    """Return how often the same things were used together, and each of them as it is used here."""
+    """Count earlier uses of the same combination of objects, and of each object in the same role."""
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
@@ -236,12 +239,12 @@ SUFFIX = ".task.yaml"
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """Return how a document in ``out`` names a scene."""
+    """Return the path by which a document in ``out`` names a scene."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """The proposals; of those that would not pass ``simfoundry check`` in ``out`` with its findings as reasons."""
+    """Run ``simfoundry check`` on the proposals in ``out``; findings become reasons for refusal."""
     return [_checked(proposal, out) for proposal in proposals]
 
 
@@ -254,12 +257,12 @@ def _checked(proposal: Proposal, out: Path) -> Proposal:
 
 
 def file_of(proposal: Proposal, out: Path) -> Path:
-    """The file of a proposal."""
+    """Path of a proposal's document."""
     return out / f"{proposal.name}{SUFFIX}"
 
 
 def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
-    """Write the accepted ones; their files in order."""
+    """Write the accepted tasks; return their files in order."""
     files = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:
@@ -269,7 +272,7 @@ def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
 
 
 def to_json(proposal: Proposal, out: Path) -> dict[str, Any]:
-    """A plain mapping, for scripts."""
+    """Return a plain mapping for scripts."""
     task = proposal.task
     return {
         "name": proposal.name,

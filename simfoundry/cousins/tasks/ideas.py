@@ -1,4 +1,4 @@
-"""What could be done in a scene, from what its things afford: cavities, tops, joints, and what a hand can take."""
+"""Task ideas from a scene's affordances: cavities, level tops, movable joints, and graspable objects."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.models.expressions import Call, parts
 
 TOGETHER = 3
-"""So many things are put into one at once, at most."""
+"""Maximum number of objects placed together at one target."""
 
 ROOM = 0.9
-"""Of a cavity, or of a top, things take up no more than this share where several are put there."""
+"""Maximum share of a cavity or top that several objects occupy together."""
 
 
 HOLLOW = (0.025, 0.04)
-"""How deep and how wide the cavity of a container is at least [m]."""
+"""Minimum depth and width of a container's cavity [m]."""
 
 BROAD = 0.1
-"""How wide a support is at least [m]."""
+"""Minimum width of a support [m]."""
 
 
 @dataclass(frozen=True)
 class IdeaStep:
-    """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
+    """One step: its ``goal``, its instruction, and the object that is moved, empty if a joint is moved."""
 
     name: str
     goal: Any
@@ -42,9 +42,9 @@ class IdeaStep:
 
 @dataclass(frozen=True)
 class Idea:
-    """A task that may be possible: its ``steps`` in order, the conditions of its ``goal``, and how odd it is.
+    """A task that may be feasible: its ``steps`` in order, the conditions of its ``goal``, and its rank ``odd``.
 
-    The lower ``odd`` the sooner it is proposed: 0 one step, 1 several.
+    Ideas with a lower ``odd`` are proposed earlier: 0 for one step, 1 for several.
     """
 
     name: str
@@ -54,21 +54,22 @@ class Idea:
 
     @property
     def things(self) -> tuple[str, ...]:
-        """Return what is carried."""
+        """Names of the objects that are moved."""
         return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
 
     @property
     def about(self) -> tuple[str, ...]:
-        """Everything that its goal names."""
+        """Names of everything in its goal."""
         return objects_of({"all": self.goal})
 
 
 @dataclass(frozen=True)
 class Affordances:
-    """Objects by what they afford: those a hand can take, those with a cavity or a level top, and joints that open.
+    """Objects by affordance: graspable objects, containers with a cavity, supports with a level top, and joints that
+    open.
 
-    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are the
-    supports that have a cavity under their top, as a cabinet: on top of them is not in them.
+    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are supports with a
+    cavity below their top, such as cabinets, for which on top does not mean inside.
     """
 
     things: tuple[str, ...]
@@ -79,7 +80,7 @@ class Affordances:
 
     @classmethod
     def of(cls, setting: TaskContext) -> Affordances:
-        """Return what the things of a scene afford, measured on their colliders."""
+        """Determine the affordances of a scene's objects from their collision geometry."""
         objects = setting.twin.scene.objects
         names = [
             o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
@@ -88,7 +89,7 @@ class Affordances:
         grounds = {setting.twin.ground}
         hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
         boards = {n: _boards(setting, n) for n in names if n not in grounds}
-        # A drawer is meant where its cabinet is named, and the boards of a shelf where they have names.
+        # Drawers and named shelf boards are listed instead of the cabinet or shelf they belong to.
         own = [t for t in hollow if not ("." not in t and (boards[t] or any(p in hollow for p in parts[t])))]
         level = [t for n in names if n not in grounds for t in boards[n] or [n] * _level(setting, n, hollow)]
         return cls(
@@ -101,7 +102,7 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Return whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
+    """Return whether an object has a usable cavity: deep, wide, and free at its center."""
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -112,14 +113,14 @@ def _hollow(setting: TaskContext, name: str) -> bool:
 
 
 def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
-    """Return whether it has a level top or floor, and is as broad as a thing that others are put on."""
+    """Return whether an object has a level top or floor, and is wide enough to support others."""
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
 
 
 def _boards(setting: TaskContext, name: str) -> list[str]:
-    """The links of an object that have a broad level each, where there are several; none of them moves."""
+    """Static links of an object that each have a wide level, if there are several."""
     twin = setting.twin
     item = twin.scene.object(name)
     welded = weld_groups(item)
@@ -141,14 +142,14 @@ def _is_broad(level: Support) -> bool:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return whether the highest level of an object is a top rather than a floor: it is in its upper half."""
+    """Return whether the highest level of an object is a top rather than a floor, that is, in its upper half."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
 
 
 def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """All that might be done, each once; none is proved yet."""
+    """Yield all candidate tasks once each, not verified yet."""
     for thing in there.things:
         for target in there.containers:
             if target.partition(".")[0] != thing and _fits(setting, (thing,), target):
@@ -166,7 +167,7 @@ def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Affordances) -> Idea:
-    """A thing into or onto another; through a drawer that is opened before and closed after."""
+    """Idea to put an object into or onto another; a closed drawer is opened before and closed afterwards."""
     step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
     if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
@@ -176,7 +177,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Return whether a joint moves the part that is named, or a part of the whole that is."""
+    """Return whether a joint moves the named part, or a part of the named object."""
     owner, _, part = target.partition(".")
     if joint.partition(".")[0] != owner:
         return False
@@ -184,7 +185,7 @@ def _lid(setting: TaskContext, joint: str, target: str) -> bool:
 
 
 def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """A container onto a support, then the largest thing that fits into it: a bowl on a plate, a cup in the bowl."""
+    """Yield stacks: a container on a support with the largest fitting object in it, as a cup in a bowl on a plate."""
     for below, middle in product(there.supports, there.containers):
         if middle == below or middle not in there.things or not _fits(setting, (middle,), below):
             continue
@@ -196,7 +197,9 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """All things of a category, or of a word of their names, into one container or onto one support."""
+    """Yield ideas to gather all objects of a category, or of a word in their names, in one container or on one
+    support.
+    """
     for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
@@ -218,7 +221,7 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Return whether things are no broader than what they go into or onto; a first look, not a proof."""
+    """Return whether objects are no wider than their target; a quick test, not a proof."""
     low, high = setting.bounds(target)
     room = np.sort((high - low)[:2])
     if len(things) == 1:
@@ -229,7 +232,7 @@ def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
 
 
 def _need(setting: TaskContext, thing: str) -> float:
-    """The smallest face of the box around a thing [m^2]."""
+    """Smallest face of an object's bounding box [m^2]."""
     low, high = setting.bounds(thing)
     return float(np.prod(np.sort(high - low)[:2]))
 
@@ -243,7 +246,7 @@ def _step(thing: str, word: str, target: str) -> IdeaStep:
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
-    """On a thing that has a cavity under its top, and not in it."""
+    """Step to put an object on top of a target that has a cavity below its top, and not into it."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
     return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
@@ -258,11 +261,11 @@ WORDS = {
     "NextTo": "next to", "LeftOf": "left of", "RightOf": "right of", "InFrontOf": "in front of", "Behind": "behind",
     "Touching": "against", "Above": "above", "Under": "under", "OnTop": "on", "Inside": "in",
 }  # fmt: skip
-"""How a predicate is said of a thing that is put somewhere."""
+"""Phrases for the predicates in instructions."""
 
 
 def step_of(call: Call) -> IdeaStep:
-    """The step that brings a predicate about."""
+    """Step that makes a predicate true."""
     thing = call.args[0]
     if call.predicate in ("Inside", "OnTop"):
         return _step(thing, call.predicate, call.args[1])
@@ -284,7 +287,7 @@ def _short(name: str) -> str:
 
 
 def _said(name: str) -> str:
-    """A name as people say it: ``cabinet.drawer`` is the drawer of the cabinet."""
+    """Format a name in plain words: ``cabinet.drawer`` is the drawer of the cabinet."""
     owner, _, part = name.partition(".")
     words = owner.replace("_", " ")
     return f"{part.replace('_', ' ')} of the {words}" if part else words

@@ -1,4 +1,4 @@
-"""Task cousins from a vision-language model, asked with the paper's prompt; each is proved as any other."""
+"""Task cousins proposed by a vision-language model with the paper's prompt; each is verified like any other."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.scene import SceneSpec
 
 Form = Literal["typed", "paper"]
-"""How the model is to answer: in a type, or in the text that the paper's prompt asks for."""
+"""Format of the model's answer: typed, or the text format that the paper's prompt requests."""
 
 
 def propose_tasks(
@@ -54,10 +54,10 @@ def propose_tasks(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """Ask a model for tasks in a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
+    """Ask a model for tasks in a scene shown in a ``picture`` (PNG or JPEG), each with any reasons for refusal.
 
-    ``include`` are objects that each task should be about, ``exclude`` those that none may. Raises ``VlmError`` where
-    the model gives no answer.
+    Each task should involve one of the objects ``include``, and must not involve those in ``exclude``. Raises
+    ``VlmError`` if the model gives no answer.
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
@@ -68,7 +68,7 @@ def propose_tasks(
 def prompt(
     setting: TaskContext, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
 ) -> str:
-    """The paper's prompt for a scene; in the typed form without the part that describes the text of the answer."""
+    """Render the paper's prompt for a scene; the typed form omits the description of the answer's text format."""
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
@@ -122,7 +122,7 @@ def judged(
     scene: str = "",
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """Proposed tasks as documents, those that are accepted; of the others why not."""
+    """Verify proposed tasks; return documents for the accepted ones and reasons for the others."""
     proposed = Proposals(setting)
     for one in told:
         if isinstance(one, Unread):
@@ -133,7 +133,7 @@ def judged(
 
 
 def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
-    """Propose what a model said; why not, where no document can be made of it."""
+    """Propose a task from a model's answer; return a refused proposal if no document can be made of it."""
     setting = proposed.setting
     name = free_name(told.task_name, proposed.names)
     goal, wrong = goal_of(told)
@@ -144,7 +144,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
         return Proposal(name, said, None, lacks)
     barred = sorted({a for text, _ in texts(goal) for a in exclude if a in text.replace(",", " ").replace("(", " ")})
     if barred:
-        return Proposal(name, said, None, (Reason("excluded", f"it is about `{barred[0]}`, which was excluded"),))
+        return Proposal(name, said, None, (Reason("excluded", f"it involves `{barred[0]}`, which is excluded"),))
     goal = _released(goal)
     steps = [step_of(call) for call in conjuncts(goal) if call.predicate != "Released"]
     idea = Idea(name, (goal,), tuple(steps))
@@ -157,7 +157,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
 
 
 def _released(goal: Any) -> Any:
-    """The goal, and that nothing holds what it wants put somewhere; as it is where it names one predicate only."""
+    """Return the goal with Released added for placed objects; unchanged if it has a single predicate."""
     placed = dict.fromkeys(c.args[0] for c in conjuncts(goal) if c.predicate in ON and c.predicate != "Touching")
     there = {str(call) for call in conjuncts(goal)}
     more = tuple(text for name in placed if "." not in name and (text := f"Released({name})") not in there)
@@ -167,21 +167,21 @@ def _released(goal: Any) -> Any:
 
 MOST_TASKS = 200
 MOST_TEXT = 100_000
-"""Letters of an answer that are read."""
+"""Maximum length of an answer that is parsed [characters]."""
 
 _MARK = re.compile(r"^\s*-{3,}[^\n]*$|^\s*```[^\n]*$", re.MULTILINE)
-"""Between tasks: `--- Task 2`; and the fences that models like to put around YAML."""
+"""Separator between tasks, `--- Task 2`, and the code fences that models tend to put around YAML."""
 
 
 class AskedTask(BaseModel):
-    """A predicate of a goal: a state of a group, or of a group and another."""
+    """A predicate of a goal: the state of one group, or a relation between two."""
 
     model_config = ConfigDict(extra="ignore")
 
     state: str = Field(max_length=40, description="One of the allowed states.")
     group: str = Field(max_length=130, description="The object, or `object.part`.")
     other_group: str | None = Field(None, max_length=130, description="The other object, for binary states.")
-    value: bool = Field(True, description="False where it must not hold.")
+    value: bool = Field(True, description="False if the predicate must not hold.")
     state_kwargs: dict[str, Any] | None = Field(None, description="Not used; null.")
 
 
@@ -191,11 +191,11 @@ class Told(BaseModel):
     model_config = ConfigDict(extra="ignore")
 
     task_name: str = Field(min_length=1, max_length=100, description="Short snake_case name.")
-    instruction: str = Field("", max_length=400, description="What the robot is told, in plain words.")
+    instruction: str = Field("", max_length=400, description="The robot's instruction in plain words.")
     goal_predicates_all: list[AskedTask] = Field([], max_length=16, description="All must be true for success.")
     goal_predicates_any: list[AskedTask] | None = Field(None, max_length=16, description="Any suffices; else null.")
     semantic_group_mapping: dict[str, list[str]] = Field(
-        {}, max_length=32, description="Only where groups are not the objects' own names."
+        {}, max_length=32, description="Required only if group names differ from object names."
     )
 
 
@@ -206,14 +206,14 @@ class ProposalsAnswer(BaseModel):
 
 
 class Unread(BaseModel):
-    """A part of an answer that is no task, and why."""
+    """An unreadable part of an answer, with the reason."""
 
     name: str
     why: str
 
 
 def read(text: str) -> list[Told | Unread]:
-    """The tasks of an answer in the paper's format: YAML blocks, a line `--- Task n` before each."""
+    """Parse the tasks of an answer in the paper's format: YAML blocks, each after a line `--- Task n`."""
     found: list[Told | Unread] = []
     blocks = [block for block in _MARK.split(text[:MOST_TEXT]) if block.strip()]
     for block in blocks[:MOST_TASKS]:
@@ -221,12 +221,12 @@ def read(text: str) -> list[Told | Unread]:
         try:
             data = parse(block, label).data
         except YamlError as error:
-            found.append(Unread(name=label, why=f"it is no YAML: {error}"))
+            found.append(Unread(name=label, why=f"it is not valid YAML: {error}"))
             continue
         if not isinstance(data, dict):
             if "task_name" in block:
-                found.append(Unread(name=label, why="it is no mapping with the key `task_name`"))
-            continue  # words between tasks
+                found.append(Unread(name=label, why="it is not a mapping with the key `task_name`"))
+            continue  # text between tasks
         try:
             found.append(Told.model_validate(data))
         except ValidationError as error:
@@ -238,18 +238,18 @@ def read(text: str) -> list[Told | Unread]:
 
 
 def goal_of(told: Told) -> tuple[Any, str]:
-    """The goal of a proposed task as a condition, and what is wrong with its groups; that is empty where nothing is."""
+    """Convert a proposed goal to a condition; also return the error in its groups, or an empty string."""
     names, wrong = {}, ""
     for group, members in told.semantic_group_mapping.items():
         if len(members) != 1:
-            wrong = wrong or f"the group `{group[:40]}` stands for {len(members)} objects, and must for one"
+            wrong = wrong or f"the group `{group[:40]}` has {len(members)} members, but must have one"
         else:
             names[group] = members[0]
     terms = [_term(asked, names) for asked in told.goal_predicates_all]
     if told.goal_predicates_any:
         terms.append({"any": tuple(_term(asked, names) for asked in told.goal_predicates_any)})
     if any(asked.state_kwargs for asked in (*told.goal_predicates_all, *(told.goal_predicates_any or []))):
-        wrong = wrong or "`state_kwargs` mean nothing here"
+        wrong = wrong or "`state_kwargs` must be null"
     return {"all": tuple(terms)}, wrong
 
 
@@ -261,9 +261,9 @@ def _term(asked: AskedTask, names: dict[str, str]) -> Any:
 
 @dataclass(frozen=True)
 class TaskCousin:
-    """A task that was proved in the twin; ``goal`` is what it asks for, as text, and ``hands`` act in it.
+    """A task verified in the twin; ``goal`` is the goal as text, and ``hands`` act in it.
 
-    What is done lasts in all ``engines``.
+    The result holds in all ``engines``.
     """
 
     spec: TaskSpec
@@ -272,12 +272,10 @@ class TaskCousin:
     engines: tuple[str, ...] = ("mujoco",)
 
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
-        """Return why it is no task in a scene as it stands: done already, or its things out of reach.
+        """Return the reasons why the task is unusable in a settled scene: already achieved, or objects out of reach.
 
-        Empty where it is one.
-
-        That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
-        them is among the ``others``, which are not the twin's.
+        Empty if it is usable. Compatibility of the objects was verified in the twin and does not depend on the layout;
+        it is verified again if any of them is among the ``others``, which replace the twin's objects.
         """
         setting = context_at(twin, state, self.hands, self.engines)
         found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
@@ -285,7 +283,7 @@ class TaskCousin:
 
 
 def context_at(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> TaskContext:
-    """The setting of a twin in another state."""
+    """Return the context of a twin in another state."""
     return TaskContext(twin.at(state), hands, engines=engines)
 
 
@@ -298,15 +296,15 @@ def task_cousins(
     vlm: Vlm | None = None,
     picture: bytes = b"",
 ) -> tuple[tuple[TaskCousin, ...], tuple[Proposal, ...]]:
-    """The tasks of a recipe's axis in a twin, and all that was proposed on the way.
+    """Return the tasks of a recipe's axis in a twin, and all proposals examined.
 
-    ``scene`` is the twin's document and ``reference`` its file as the tasks' documents name it. A ``vlm`` that sees the
-    ``picture`` is asked where the axis says so. Raises :class:`ImpossibleError` where nothing can be done.
+    ``scene`` is the twin's document and ``reference`` its path as the tasks' documents name it. A ``vlm``, shown the
+    ``picture``, is queried if the axis requests it. Raises :class:`ImpossibleError` if no task is feasible.
     """
     setting = TaskContext(twin, hands_of(scene.robots), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
-            why = "`proposals: model` needs a model: name one, or take `affordances`"
+            why = "`proposals: model` needs a model: name one, or use `affordances`"
             raise ImpossibleError((Reason("no_model", why),))
         from simfoundry.cousins.tasks.proposals import propose_tasks
 

@@ -1,4 +1,4 @@
-"""Trying out: a thing is put somewhere, a joint is set, physics runs, and what was asked holds at rest or does not."""
+"""Trials: move an object or a joint, simulate until rest, and test whether the requested predicates hold."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from simfoundry.spec.models.place import Place
 from simfoundry.worlds import open_world
 
 OVERLAP = 0.002
-"""Nothing overlaps deeper at rest [m]: a thing wedged between the walls of another is not put there."""
+"""Maximum penetration at rest [m]; an object wedged between the walls of another does not count as placed."""
 
 DISTURBED = 0.02
-"""What is not to be moved moves no farther than this [m] as a thing comes to rest by it."""
+"""Maximum displacement [m] of other objects while an object comes to rest."""
 
 
 LASTS = 2.0
-"""So long physics runs in other engines [s] to see whether what was done lasts."""
+"""Duration of the simulation in other engines [s] that tests whether a result lasts."""
 
 ASTRAY = (0.0023, 0.0017)
-"""How far beside its place a thing is put [m]: no hand is exact, and no ball stays on another."""
+"""Placement perturbation [m]: no hand is exact, and a ball does not stay on another."""
 
 
 class Rest(NamedTuple):
-    """The state in which everything rests; ``why`` not, empty if it does and nothing else was disturbed."""
+    """The state at rest; ``why`` is empty if everything rests undisturbed, else the reason."""
 
     state: SceneState
     why: str = ""
@@ -43,9 +43,10 @@ class Rest(NamedTuple):
 def dropped(
     setting: TaskContext, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
 ) -> Pose:
-    """Return where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], first touches what it comes down on.
+    """Pose at which an object, rotated by ``q`` (wxyz) with its center over ``xy`` [m], first touches its support from
+    above.
 
-    Raises :class:`~simfoundry.scene.place.PlaceError` where it misses it or does not fit.
+    Raises :class:`~simfoundry.scene.place.PlaceError` if it misses the target or does not fit.
     """
     twin = setting.twin
     shape = twin.shape(name, Pose.of(q=q))
@@ -64,16 +65,16 @@ def dropped(
 
 
 def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
-    """Return where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], stands on a level of an object.
+    """Pose at which an object, rotated by ``q`` (wxyz) with its center over ``xy`` [m], stands on a level of an object.
 
-    Raises :class:`~simfoundry.scene.place.PlaceError` where it would stand out of the level or meet the object.
+    Raises :class:`~simfoundry.scene.place.PlaceError` if it would stick out over the level or collide with the object.
     """
     twin = setting.twin
     turned = twin.shape(name, Pose.of(q=q))
     outline = Outline.of(turned)
     middle = complex(*xy)
     if not level.holds(np.array([[middle.real, middle.imag]]), np.array([1.0 + 0.0j]), outline.spread)[0]:
-        raise PlaceError(f"`{name}` would stand out of the level of `{level.name}` at {level.height:.3f} m")
+        raise PlaceError(f"`{name}` would stick out over the level of `{level.name}` at {level.height:.3f} m")
     at = middle - outline.middle
     X_WO = Pose.of((at.real, at.imag, level.height - outline.low + CLEARANCE), q)
     if overlap(turned.moved(X_WO.p), twin.shape(level.name, twin.state.poses[level.name])):
@@ -82,7 +83,7 @@ def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, f
 
 
 def put(setting: TaskContext, name: str, X_WO: Pose, state: SceneState) -> SceneState:
-    """A state with a thing elsewhere, and with it what rides on it."""
+    """Return a state with an object and its riders moved."""
     moved = X_WO @ state.poses[name].inverse()
     along = {n: moved @ state.poses[n] for n in setting.twin.riders(name)}
     return SceneState.of({**state.poses, **along, name: X_WO}, state.joints, state.motions)
@@ -91,7 +92,9 @@ def put(setting: TaskContext, name: str, X_WO: Pose, state: SceneState) -> Scene
 def turned(
     setting: TaskContext, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
 ) -> SceneState:
-    """A state with a joint elsewhere [rad or m]; what is ``held`` by its link, named ``owner.link``, goes along."""
+    """Return a state with a joint at another position [rad or m]; objects ``held`` by its link (``owner.link``) move
+    along.
+    """
     item = setting.twin.scene.object(owner)
     joints = {**state.joints, f"{owner}.{joint.name}": to}
     after = SceneState.of(state.poses, joints, state.motions)
@@ -106,7 +109,7 @@ def turned(
 
 
 def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
-    """Let physics run. ``moving`` may move as they come to rest, all others stay."""
+    """Simulate until rest. Objects in ``moving`` may move as they settle; all others must stay."""
     settled = settle_layout(setting.twin.world, state, setting.twin.absent)
     if settled.restless:
         return Rest(settled.state, f"`{settled.restless[0]}` does not come to rest")
@@ -120,9 +123,10 @@ def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
-    """Return why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does.
+    """Return the reason why a condition that holds in MuJoCo at rest does not last in another engine, or an empty
+    string.
 
-    Each time in a world of its own: PyBullet remembers contacts over a reset, and what was tried before must not tell.
+    Each test uses a new world, because PyBullet keeps contacts across a reset and earlier trials must not influence it.
     Raises MissingEngineError for an engine that is not installed.
     """
     for engine in setting.engines:
@@ -138,7 +142,9 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
 
 
 def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
-    """Return where a joint is ``Open`` or ``Closed`` [rad or m]: an end of its way; None where it is so at neither."""
+    """Joint position at which a joint is ``Open`` or ``Closed`` [rad or m]: one of its limits; None if it is so at
+    neither.
+    """
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):
         state = turned(setting, owner, joint, end, {}, twin.state)
@@ -148,7 +154,7 @@ def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> flo
 
 
 def link_named(setting: TaskContext, target: str) -> str:
-    """``owner.link`` of what a target names; of a whole object its root."""
+    """Return ``owner.link`` for a target's name; for a whole object its root link."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
     links = bodies[thing.owner].item.links

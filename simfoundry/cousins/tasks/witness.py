@@ -1,8 +1,8 @@
-"""A witness of a goal: a state at rest in which it is true, found by putting things where it wants them.
+"""Witness search for a goal: find a state at rest in which it is true by placing objects as it requires.
 
-That a task can be done is shown, not guessed: its things are turned and dropped onto the real shapes in a few dozen
-ways, physics runs until they rest, and the goal is judged. How a hand would do it is not planned: that it can take
-each thing and gets to where that is to be is looked at apart.
+Feasibility is demonstrated by simulation: objects are rotated and dropped onto the collision geometry in a few dozen
+ways, simulated until rest, and the goal is evaluated. Robot motion is not planned; graspability of each object and
+reachability of its target are tested separately.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from simfoundry.spec.models.expressions import Call, parts
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")
 PUT = (*ON, *BESIDE, "At", "Upright")
-"""Predicates that are brought about by putting their first argument somewhere."""
+"""Predicates made true by placing their first argument."""
 
 JOINTS = ("Open", "Closed")
 HELD = ("Grasped", "Lifted")
-"""Predicates that a hand makes true by taking the thing, and by nothing else."""
+"""Predicates made true only by a hand holding the object."""
 
 ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
-"""Predicates of which a goal may be made; Released may go with them."""
+"""Predicates of which a goal may consist; Released may be combined with them."""
 
 NEAR = 0.03
-"""A thing that misses what is asked by no more than this [m] where it is put may come to it as it settles."""
+"""Margin [m] by which an object may miss a predicate at its first contact, because it may satisfy it as it settles."""
 
 SETTLES = 6
-"""So many times physics runs for one thing until it counts as not going there."""
+"""Number of simulations per object before it counts as impossible to place."""
 
 FEW = 3
-"""Turns that are tried at the places beyond the first two."""
+"""Number of orientations tried at positions after the first two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Witness:
 
 @dataclass
 class _Attempt:
-    """An attempt: the state so far, what links hold, what was opened, and what is barred of which object."""
+    """An attempt: its present state, objects held by links, opened joints, and forbidden conditions by object."""
 
     state: SceneState
     held: dict[str, str] = field(default_factory=dict)
@@ -64,12 +64,12 @@ class _Attempt:
     barred: list[tuple[str, Any]] = field(default_factory=list)
 
     def asked(self, name: str, calls: list[Call]) -> Any:
-        """Return what is asked of a thing where it is put: that ``calls`` hold, and nothing that is barred of it."""
+        """Condition on a placed object: that ``calls`` hold, and none of its forbidden conditions."""
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
 def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
-    """A witness of a goal, or why there is none. Names and predicates are known to be right."""
+    """Find a witness of a goal, or the reasons why there is none. Names and predicates must be valid."""
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
         try:
@@ -109,7 +109,7 @@ def _made(setting: TaskContext, goal: Any, way: list[Call]) -> Witness | tuple[R
 
 
 def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
-    """Yield what must not hold wherever a goal is true, each with the object that it says something of first."""
+    """Yield the conditions that must not hold, each with the first object that it refers to."""
     tag, below = parts(goal)
     if tag == "all":
         for item in below:
@@ -119,7 +119,7 @@ def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
-    """The things to put with what is asked of each, those first in which or on which others are put."""
+    """Order the objects to be placed, containers and supports first, each with its predicates."""
     groups: dict[str, list[Call]] = {}
     for call in calls:
         groups.setdefault(call.args[0].partition(".")[0], []).append(call)
@@ -138,7 +138,7 @@ def _owner(call: Call) -> str:
 
 
 def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
-    """Open or close what a predicate names."""
+    """Open or close the joint of a predicate."""
     owner = call.args[0].partition(".")[0]
     joints = setting.joints(call.args[0])
     for joint in joints:
@@ -152,7 +152,7 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
         attempt.state = turned(setting, owner, joint, end, attempt.held, attempt.state)
     settled = rest(setting, attempt.state, {owner, *attempt.held})
     if settled.why:
-        return (Reason("impossible", f"{call} is not reached: {settled.why}"),)
+        return (Reason("impossible", f"{call} cannot be reached: {settled.why}"),)
     attempt.state = settled.state
     verdict = setting.twin.judge(str(call), attempt.state)
     if not verdict.value:
@@ -161,11 +161,11 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
     return ()
 
 
-# -- things -----------------------------------------------------------------------------------------------------------
+# -- objects ----------------------------------------------------------------------------------------------------------
 
 
 def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Put a thing where all ``calls`` about it hold; where what is closed is in the way, it is opened."""
+    """Place an object so that all ``calls`` about it hold; if a closed joint is in the way, open it."""
     if lacks := setting.cannot_take(name):
         return lacks
     below = next((_owner(call) for call in calls if _owner(call) in setting.twin.riders(name)), "")
@@ -190,16 +190,16 @@ def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) 
 
 
 def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
-    """The joints of the part that is named, or of the whole, that are not open: a drawer takes nothing while shut."""
+    """Closed joints of the named part or object, which cannot receive an object while shut."""
     owner = target.partition(".")[0]
     judge, state = setting.twin.judge, attempt.state
     return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
 
 
 def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Put a thing in one way after the other until what is asked of it holds at rest.
+    """Place an object in one pose after the other until its predicates hold at rest.
 
-    Physics runs where it holds as the thing touches down, and in the end where it nearly does.
+    Poses that satisfy them at first contact are simulated; if none succeeds, those that nearly do are simulated too.
     """
     tried = _Tried()
     nearly: list[tuple[float, SceneState]] = []
@@ -220,7 +220,9 @@ def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]
 
 
 def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[SceneState]:
-    """The nearest first, and of those at one place that miss by the same the first: they are the same thing, turned."""
+    """Yield states by increasing violation, skipping those with equal position and violation, which differ by rotation
+    only.
+    """
     seen = set()
     for margin, state in sorted(nearly, key=lambda row: -row[0]):
         key = (round(margin, 3), *np.round(state.poses[name].p, 2).tolist())
@@ -231,9 +233,9 @@ def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[Scene
 
 @dataclass
 class _Tried:
-    """Counts of how often an object was put somewhere and settled; the best margin and why it was not enough.
+    """Numbers of placements and simulations of an object, its best margin, and the reason it was insufficient.
 
-    ``far`` is why no hand gets to where it did come true, ``unreached`` those places to a centimetre [m].
+    ``far`` is the reason why no hand reaches the successful positions, ``unreached`` those positions to 1 cm [m].
     """
 
     puts: int = 0
@@ -247,7 +249,7 @@ class _Tried:
 def _touchdowns(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
-    """States in which the thing has come down on what carries it, each with what is asked of it there."""
+    """Yield states in which the object touches its support, each with the verdict on its predicates there."""
     asked = attempt.asked(name, calls)
     for pose in _landings(setting, attempt, name, calls):
         if tried.settles >= SETTLES:
@@ -267,7 +269,7 @@ def _touchdowns(
 def _settled(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
 ) -> tuple[Reason, ...] | None:
-    """Let a thing come to rest. None where that does not bring about what is asked; nothing in the way: ``()``."""
+    """Settle an object. Return None if its predicates do not hold afterwards, and ``()`` on success."""
     spot = tuple(np.round(state.poses[name].p, 2).tolist())
     if spot in tried.unreached:
         return None
@@ -296,7 +298,7 @@ def _settled(
 
 
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
-    """Yield where a thing may lie: it comes down from above, and then stands on each level that the target has."""
+    """Yield candidate poses: the first contact from above, then standing on each level of the target."""
     target, within = _carrier(setting, name, calls)
     for xy, q in _ways(setting, attempt, name, calls[0]):
         yield partial(dropped, setting, name, target, within, xy, q, attempt.state)
@@ -316,7 +318,7 @@ def _ways(
 
 
 def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:
-    """On what a thing comes down, and whether it is to lie in it."""
+    """Support of an object, and whether the object must be inside it."""
     first = calls[0]
     if first.predicate in ON:
         return first.args[1], first.predicate == "Inside"
@@ -329,7 +331,7 @@ def _cannot(setting: TaskContext, name: str, calls: list[Call], tried: _Tried) -
     low, high = setting.bounds(name)
     size = " x ".join(f"{100 * v:.1f}" for v in (high - low).tolist())
     asked = " and ".join(str(call) for call in calls)
-    text = f"{asked} does not come true in {tried.puts} ways to put `{name}` ({size} cm) there"
+    text = f"{asked} does not become true in {tried.puts} placements of `{name}` ({size} cm)"
     text += cavity_words(setting, calls[0].args[1]) if calls[0].predicate == "Inside" else ""
     margin = {"margin": float(tried.best)} if np.isfinite(tried.best) else {}
     return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, numbers(tries=tried.puts, **margin))

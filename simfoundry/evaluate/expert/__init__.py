@@ -1,1 +1,3 @@
-"""A scripted policy that cheats: it sees the true state, plans grasps and paths on it, and acts as any policy does."""
+"""A scripted expert policy: it plans grasps and paths on the true state, and acts through the interface of any
+policy.
+"""

@@ -1,4 +1,4 @@
-"""Grasps of an object: across what a gripper's fingers can close on, found on the object's colliders."""
+"""Parallel-jaw grasps of an object, found on its collision geometry."""
 
 from __future__ import annotations
 
@@ -17,38 +17,41 @@ if TYPE_CHECKING:
 from simfoundry.robots.fingers import Jaws
 
 YAWS = 12
-"""Directions of closing about the direction of approach, over half a turn; each counts twice, with the hand turned."""
+"""Number of closing directions about the approach direction over half a turn; each is used twice, with the hand
+flipped.
+"""
 
 ACROSS, ALONG = 17, 12
-"""Most lines across the hand and along its approach."""
+"""Maximum number of lines across the hand and along its approach."""
 
 SPACING, FINE = 0.006, 0.0025
-"""Least distance between lines across the hand, and along its approach [m]."""
+"""Minimum spacing of lines across the hand and along its approach [m]."""
 
 MOST = 300
-"""The best so many are enough to choose from."""
+"""Number of best grasps that are kept."""
 
 FACING = 0.92
-"""Fingers meet surfaces that face them at least this much: the cosine, within the cone of friction."""
+"""Minimum cosine between a finger's direction and the surface normal that it meets, within the friction cone."""
 
 CLEARANCE = 0.004
-"""Room left beside each finger when it comes [m]."""
+"""Clearance beside each finger during the approach [m]."""
 
 PRELOAD = 0.012
-"""How much wider than the thing the open fingers come, on each side [m], where the gripper is that wide."""
+"""Additional opening of the fingers on each side of the object [m], if the gripper is wide enough."""
 
 TIP = 0.005
-"""How far behind the tip of the pads what is taken lies at least [m]."""
+"""Minimum distance of the object from the tips of the pads [m]."""
 
 ALIKE = 0.004
-"""Neighbouring lines whose spans differ by less than this [m] are one surface for the pads."""
+"""Maximum difference between the spans of neighboring lines for them to form one surface for the pads [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A hand about to close: ``X_WH`` when closed; it comes with its fingers at share ``open`` and closes on ``width``.
+    """A hand about to close: its closed pose ``X_WH``, its finger opening ``open`` during the approach, and the
+    ``width`` held.
 
-    ``cost`` is smaller for better ones.
+    Better grasps have a smaller ``cost``.
     """
 
     X_WH: Pose
@@ -58,7 +61,7 @@ class Grasp:
 
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
-    """Directions of approach, shape (3,): straight down, and tilted by angles [rad] towards eight sides."""
+    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] towards eight sides."""
     found = []
     for tilt in tilts:
         for side in range(8 if tilt else 1):
@@ -72,9 +75,10 @@ def _tilted(tilt: float, angle: float) -> Array:
 
 
 def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
-    """Rotations of the hand whose z is ``approach``, with closing directions y all around.
+    """Yield rotations of the hand with its z along ``approach``, and closing directions y all around.
 
-    They start from the direction in which the shape is longest, seen along the approach: what is long is taken across.
+    They start from the direction in which the shape is longest as seen along the approach, so that long objects are
+    grasped across.
     """
     side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     side = np.cross(approach, side)
@@ -90,7 +94,7 @@ def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
 
 
 def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
-    """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
+    """Return all grasps of a shape with its center of mass at ``center`` [m], best first, including flipped hands."""
     found: list[Grasp] = []
     for approach in approaches:
         for R_WH in rotations(shape, approach):
@@ -101,7 +105,7 @@ def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]
 
 
 def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
-    """Grasps with the hand turned by R_WH."""
+    """Yield grasps with the hand rotated by R_WH."""
     low, high = bounds(shape, R_WH)
     across = _grid(low[0], high[0], ACROSS, SPACING)
     along = _grid(low[2], high[2], ALONG, FINE)
@@ -131,13 +135,13 @@ def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterato
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
-    """Coordinates from a little inside ``low`` to a little inside ``high``, at least ``spacing`` apart."""
+    """Evenly spaced coordinates slightly inside ``low`` and ``high``, at least ``spacing`` apart."""
     count = int(np.clip((high - low) / spacing, 1, most))
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
 def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
-    """Single pieces and runs of pieces that the fingers can close on from both ends."""
+    """Spans and sequences of spans that the fingers can close on from both ends."""
     widest = jaws.opening - 2 * CLEARANCE
     found = []
     for i, first in enumerate(spans):
@@ -149,7 +153,7 @@ def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
 
 
 def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
-    """Share of the lines around one that meet the same surfaces: how much of the pads will touch."""
+    """Share of the neighboring lines that meet the same surfaces, a measure of the pads' contact area."""
     around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1) if di or dj]
     alike = 0
     for k, m in around:

@@ -1,4 +1,4 @@
-"""Taking a thing up and putting it down, with one hand."""
+"""Pick and place skills with one hand."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from simfoundry.scene.object_shapes import solid
 from simfoundry.worlds.footing import center_of_mass
 
 STANDOFF = 0.09
-"""How far before a grasp the hand stops to look [m]."""
+"""Distance before a grasp at which the hand stops to observe [m]."""
 
 LIFT = 0.12
-"""How high a thing is lifted before it is carried away [m]."""
+"""Lift height before an object is moved away [m]."""
 
 ABOVE = 0.12
-"""How far above its place a thing comes [m]: what goes into a cup comes over its rim."""
+"""Height of the approach above a place [m], so that an object clears the rim of a cup."""
 
 DROP = 0.006
-"""How high above its place a thing is let go [m]."""
+"""Height above a place at which an object is released [m]."""
 
 SQUEEZE = 0.04
-"""How far beyond touching the fingers are to close, as a share of their travel: a servo pulls the harder for it."""
+"""Additional closing command beyond contact, as a share of the finger travel; a servo pulls harder for it."""
 
 RELEASE = 0.012
-"""How far each finger opens to let go [m]."""
+"""Opening of each finger on release [m]."""
 
 SPARE = 0.012
-"""How far the hand stays from everything at a place chosen before the thing is grasped [m]: it may slip a little."""
+"""Clearance of the hand at a place chosen before grasping [m], because the object may slip a little."""
 
 TRIES, CHECKED = 60, 6
-"""How many grasps for which there is room, and how many places for each, are tried with the arm."""
+"""Maximum number of collision-free grasps, and of places for each, tried with the arm."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickPlan:
-    """A grasp that can be carried out: ways to stop before it, to it, and up from it."""
+    """An executable grasp: paths to a stop before it, to it, and up from it."""
 
     grasp: Grasp
     to: Path
@@ -52,7 +52,7 @@ class PickPlan:
 
 @dataclass(frozen=True, eq=False)
 class PutPlan:
-    """A place that can be reached: the way above it, down to it, and back."""
+    """A reachable place: paths above it, down to it, and back."""
 
     place: PlaceAt
     to: Path
@@ -62,7 +62,7 @@ class PutPlan:
 
 
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
-    """Take a thing up, so that it can go to one of ``places`` afterwards."""
+    """Pick up an object so that it can be moved to one of ``places`` afterwards."""
     worker.sync()
     plan = plan_pick(worker, robot, name, places)
     if plan is None:
@@ -80,12 +80,12 @@ def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | No
 
 
 def firmly(planner: ArmPlanner, width: float) -> float:
-    """The share to close by so as to hold what is ``width`` [m] wide: all the force there is squashes light things."""
+    """Gripper share to hold an object ``width`` [m] wide; closing with full force squashes light objects."""
     return min(1.0, planner.jaws.at_width(width)[0] + SQUEEZE)
 
 
 def plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
-    """The first grasp that the arm can reach, lift and bring to a place; None where there is none."""
+    """Plan the first grasp that the arm can reach, lift and bring to a place; None if there is none."""
     planner = worker.planners[robot]
     state = worker.now.state
     item = worker.scene.object(name)
@@ -115,7 +115,7 @@ def plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt]
 
 
 def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
-    """Return whether the hand alone has room to come, and to close."""
+    """Return whether the hand alone has space to approach and to close."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, grasp.open)
     if cell.hand_clash(robot, grasp.X_WH, gap=0.001):
@@ -125,7 +125,7 @@ def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
 
 
 def _fitting(planner: ArmPlanner, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
-    """The places at which the hand alone, with the thing in it, has room."""
+    """Places at which the hand alone, holding the object, has space."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, planner.jaws.at_width(grasp.width)[0])
     found = []
@@ -140,7 +140,7 @@ def _fitting(planner: ArmPlanner, grasp: Grasp, held: Held, places: list[PlaceAt
 
 
 def _reached(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> PickPlan | None:
-    """The way to a grasp from just before it, and up again."""
+    """Plan the path to a grasp from a pose just before it, and up again."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
     start = planner.arm.solve_any(before, q, planner.rng)
     if start is None or not planner.clear(start, grasp.open):
@@ -157,7 +157,7 @@ def _reached(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> PickPlan
 
 
 def _can_put(planner: ArmPlanner, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
-    """Return whether the hand can be where it lets a thing go, and just above."""
+    """Return whether the hand can reach the release pose and the pose above it."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
     posture = planner.arm.solve_any(X_WH, q, planner.rng)
     if posture is None:
@@ -173,7 +173,7 @@ def _over(pose: Pose, height: float) -> Pose:
 
 
 def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
-    """Put down what the hand holds, at the first of ``places`` that it can reach."""
+    """Place the held object at the first of ``places`` that can be reached."""
     held = worker.held[robot]
     worker.sync()
     plan = plan_put(worker, robot, places)
@@ -190,7 +190,7 @@ def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
 
 
 def corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
-    """The way down to a place with the thing as it lies in the hand now, which may have slipped on the way."""
+    """Replan the path down to a place with the object's present pose in the hand, because it may have slipped."""
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
     goal = _over(plan.place.X_WO, DROP) @ held.X_HO.inverse()
@@ -199,7 +199,9 @@ def corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
 
 
 def plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
-    """The first place that the arm can bring what it holds to, let go and leave; None where there is none."""
+    """Plan the first place to which the arm can bring the held object, release it and retreat; None if there is
+    none.
+    """
     planner = worker.planners[robot]
     reading = worker.now.robots[robot]
     held = Held(worker.held[robot].name, reading.X_WH.inverse() @ worker.now.state.poses[worker.held[robot].name])

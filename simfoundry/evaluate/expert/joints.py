@@ -1,4 +1,4 @@
-"""Opening and closing: a handle is taken and led along the way of its joint."""
+"""Skills to open and close joints: a handle is grasped and led along the joint's motion."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState, object_at
 
 WIDE = (0.94, 0.75, 0.5)
-"""Shares of its range to which a joint is opened, the first that the arm can lead it to."""
+"""Shares of the range to which a joint is opened; the first reachable one is used."""
 
 BEYOND = 0.003
-"""How far past its closed end a handle is led [m or rad], so that the joint gets there."""
+"""Distance past its closed end to which a handle is led [m or rad], so that the joint reaches the end."""
 
 STEP = 0.02
-"""Between the poses of the hand on the way of a joint [m or rad]."""
+"""Step between hand poses along the joint's motion [m or rad]."""
 
 OUTER = 0.02
-"""What of a link is this near [m] to its outermost point, the way that it opens, is looked at as its handle."""
+"""Maximum distance of handle geometry from the link's outermost point in the opening direction [m]."""
 
 SLANTS = (0.0, 0.4, 0.8, 1.2)
-"""How far below the level a hand comes to a handle from its front [rad]."""
+"""Downward pitch angles of a hand that approaches a handle from its front [rad]."""
 
 TRIES = 80
 
 
 @dataclass(frozen=True, eq=False)
 class LeadPlan:
-    """A handle's grasp: ways to stop before it, to it, along its joint, and back."""
+    """A plan to lead a handle: paths to a stop before the grasp, to it, along the joint, and back."""
 
     grasp: Grasp
     to: Path
@@ -49,7 +49,7 @@ class LeadPlan:
 
 @dataclass(frozen=True, eq=False)
 class _Leading:
-    """A joint of an item to be led in a state, from ``now`` to ``goal`` [rad or m]."""
+    """A joint to be moved from ``now`` to ``goal`` [rad or m] in a given state."""
 
     item: SceneObject
     state: SceneState
@@ -59,7 +59,7 @@ class _Leading:
 
 
 def joint_of(item: SceneObject, name: str) -> Joint:
-    """The joint that a predicate names, or that moves the link it names; of an object alone its first that moves."""
+    """Return the named joint, or the one that moves the named link; for an object alone, its first movable joint."""
     for joint in item.joints:
         if joint.has_axis and name in ("", joint.name, joint.child):
             return joint
@@ -67,9 +67,9 @@ def joint_of(item: SceneObject, name: str) -> Joint:
 
 
 def ends(joint: Joint) -> tuple[float, float]:
-    """Return where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
+    """Positions at which a joint is closed (the limit nearer to zero) and fully open [rad or m]."""
     if joint.limits is None:
-        raise FailedError(f"joint {joint.name} has no end, so it neither opens nor closes")
+        raise FailedError(f"joint {joint.name} has no limits, so it can neither open nor close")
     low, high = joint.limits
     return (low, high) if abs(low) <= abs(high) else (high, low)
 
@@ -99,7 +99,7 @@ def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script
 
 
 def plan_lead(worker: ExpertWorker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
-    """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
+    """Plan the first handle grasp with which the arm can lead the joint to ``goal`` [rad or m]."""
     planner, state = worker.planners[robot], worker.now.state
     leading = _Leading(item, state, joint, state.joints[f"{item.name}.{joint.name}"], goal)
     tried = 0
@@ -117,7 +117,7 @@ def plan_lead(worker: ExpertWorker, robot: str, item: SceneObject, joint: Joint,
 
 
 def handle_grasps(item: SceneObject, state: SceneState, joint: Joint, jaws: Jaws) -> list[Grasp]:
-    """Grasps of what stands out of a joint's child, from the front, slanted and from above, from the best."""
+    """Grasps of geometry that protrudes from a joint's child, from the front, slanted and from above, best first."""
     shape = solid(item, state, [joint.child])
     front = _front(item, state, joint, shape.corners)
     along = shape.corners @ front
@@ -131,7 +131,7 @@ def handle_grasps(item: SceneObject, state: SceneState, joint: Joint, jaws: Jaws
 
 
 def _front(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -> Array:
-    """The direction in which a handle stands out: that of a drawer's way, or away from a hinge."""
+    """Direction in which a handle protrudes: that of a drawer's motion, or away from a hinge."""
     if joint.type is not JointType.PRISMATIC:
         return _away(item, state, joint, corners)
     now = state.joints[f"{item.name}.{joint.name}"]
@@ -142,7 +142,7 @@ def _front(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -
 
 
 def _led(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> LeadPlan | None:
-    """The ways of the arm from ``q`` to a grasp, along the joint, and back."""
+    """Plan the arm's paths from ``q`` to a grasp, along the joint, and back."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
     start = planner.arm.solve_any(before, q, planner.rng)
     if start is None or not planner.clear(start, grasp.open):
@@ -160,7 +160,7 @@ def _led(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Lead
 
 
 def _along(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Path | None:
-    """Postures in which the hand goes with the joint, a little past its closed end; None where it cannot."""
+    """Postures in which the hand follows the joint, slightly past its closed end; None if it cannot."""
     item, joint, now, goal = leading.item, leading.joint, leading.now, leading.goal
     far = goal + math.copysign(BEYOND, goal - now) if abs(goal - ends(joint)[0]) < 1e-9 else goal
     held = planner.jaws.at_width(grasp.width)[0]
@@ -176,7 +176,7 @@ def _along(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Pa
 
 
 def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:
-    """Return how what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
+    """Motion in the world of a body fixed to a joint's child when the joint moves from ``now`` to ``then``."""
     here = object_at(item, state)
     X_OC = link_poses(here, {**state.of_object(item), joint.name: now})[joint.child]
     X_OD = link_poses(here, {**state.of_object(item), joint.name: then})[joint.child]
@@ -184,7 +184,7 @@ def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then
 
 
 def _away(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -> Array:
-    """The level direction from a hinge to the middle of what it turns."""
+    """Horizontal direction from a hinge to the center of the part that it moves."""
     here = object_at(item, state)
     hinge = (here.X_WO @ link_poses(here)[joint.child]).p
     away = (corners.mean(axis=0) - hinge) * [1.0, 1.0, 0.0]

@@ -1,4 +1,4 @@
-"""Paths of one arm through the scene: straight lines of the hand, and ways around what is in between."""
+"""Motion planning for one arm: straight lines of the hand, and collision-free paths around obstacles."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
-"""Postures to go through, each shape (n,) [rad or m]."""
+"""Sequence of postures, each shape (n,) [rad or m]."""
 
 LINE = 0.015
-"""Between the postures of a straight line [m]."""
+"""Position step between the postures of a straight line [m]."""
 
 TURN = 0.1
-"""And between their rotations [rad]."""
+"""Rotation step between the postures of a straight line [rad]."""
 
 LEAP = 0.35
-"""A joint that moves more than this between them [rad] has changed its branch."""
+"""Maximum joint step between two postures of a line [rad]; a larger one means that the IK branch has changed."""
 
 FINE = 0.08
-"""Between the postures of a path that are looked at [rad]."""
+"""Joint step at which a path is checked for collisions [rad]."""
 
 GAP = 0.004
-"""What moves freely stays this far from everything [m]."""
+"""Minimum clearance of free motion [m]."""
 
 WIDE = 0.02
-"""And on its way this far where it can: the joints lag behind their targets, each in its own way, and cut corners."""
+"""Preferred clearance of free motion [m]: joints lag differently behind their targets and cut corners."""
 
 NODES, STRIDE = 1500, 0.3
-"""How many postures a search tries, and how far it steps [rad]."""
+"""Maximum number of postures in a search, and its step size [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Held:
 
 
 class ArmPlanner:
-    """One arm in its cell."""
+    """Planner for one arm in its planning scene."""
 
     def __init__(self, cell: PlanningScene, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:
         self.cell, self.arm, self.jaws, self.rng = cell, arm, fingers, rng
@@ -61,7 +61,7 @@ class ArmPlanner:
     def clear(
         self, q: Array, share: float, held: Held | None = None, gap: float = GAP, ignore: Iterable[str] = ()
     ) -> bool:
-        """Return whether a posture touches nothing."""
+        """Return whether a posture is free of collisions."""
         self.cell.pose(self.name, q, share)
         moving = [self.name]
         if held is not None:
@@ -78,7 +78,7 @@ class ArmPlanner:
         gap: float = 0.0,
         ignore: Iterable[str] = (),
     ) -> Path | None:
-        """Postures that take the hand from ``q`` straight to ``X_WH``; None where it cannot go so."""
+        """Postures that move the hand from ``q`` straight to ``X_WH``; None if the arm cannot follow the line."""
         start = self.arm.hand(q)
         count = max(1, int(np.ceil(max(float(np.linalg.norm(X_WH.p - start.p)) / LINE, start.angle_to(X_WH) / TURN))))
         path = [q]
@@ -94,7 +94,9 @@ class ArmPlanner:
     def way(
         self, q: Array, goal: Array, share: float, held: Held | None = None, ignore: Iterable[str] = ()
     ) -> Path | None:
-        """Postures from ``q`` to ``goal`` around what is in between, far from it if there is such a way; or None."""
+        """Postures from ``q`` to ``goal`` around obstacles, with the preferred clearance if possible; None if there is
+        no path.
+        """
         ignored = tuple(ignore)
         for gap in (WIDE, GAP):
 
@@ -112,7 +114,7 @@ class ArmPlanner:
 
 
 def blend(a: Pose, b: Pose, share: float) -> Pose:
-    """A pose between two."""
+    """Interpolate between two poses."""
     qb = b.q if float(a.q @ b.q) >= 0 else -b.q
     angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
     if angle < 1e-6:
@@ -122,18 +124,18 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
 
 
 def _straight(a: Array, b: Array, free: object) -> bool:
-    """Return whether every posture between two is free; the first is taken to be."""
+    """Return whether every posture between two is free; the first is assumed to be."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))  # type: ignore[operator]
 
 
 def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
-    """Rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
+    """Search with rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
     trees = ([start], [goal])
     parents: tuple[list[int], list[int]] = ([-1], [-1])
     side = 0
     for _ in range(NODES):
-        # Between the two ends more often than anywhere: most ways lead there.
+        # Sample between the two ends more often than elsewhere: most paths lead through there.
         mix = rng.uniform(size=len(start))
         near = start + mix * (goal - start) + rng.normal(scale=0.5, size=len(start))
         sample = np.clip(near, low, high) if rng.uniform() < 0.8 else rng.uniform(low, high)
@@ -152,7 +154,7 @@ def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rn
 
 
 def _extend(tree: list[Array], parent: list[int], towards: Array, free: object) -> int | None:
-    """Grow a tree by one step; the number of the new posture."""
+    """Grow a tree by one step; return the index of the new posture."""
     distance = np.abs(np.array(tree) - towards).max(axis=1)
     nearest = int(distance.argmin())
     if distance[nearest] < 1e-9:
@@ -174,7 +176,7 @@ def _back(tree: list[Array], parent: list[int], k: int) -> Path:
 
 
 def _shortened(path: Path, free: object, rng: np.random.Generator) -> Path:
-    """A path without detours that need not be."""
+    """Return a path without unnecessary detours."""
     for _ in range(40):
         if len(path) < 3:
             break
@@ -185,11 +187,11 @@ def _shortened(path: Path, free: object, rng: np.random.Generator) -> Path:
 
 
 FAR = 0.03
-"""How far apart things are when they are still looked at [m]."""
+"""Distance up to which collisions are tested [m]."""
 
 
 class PlanningScene:
-    """The scene in MuJoCo, without time. What is asked of it changes it; :meth:`sync` brings it back to a state."""
+    """The scene in MuJoCo without time steps. Queries change its state; :meth:`sync` restores a given one."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -212,7 +214,7 @@ class PlanningScene:
         self._own = self._touching_itself()
 
     def _touching_itself(self) -> set[tuple[int, int]]:
-        """Pairs of geoms of one robot that are near each other at the start: neighbours in its build."""
+        """Pairs of geoms of one robot that are close at the start, such as neighboring links."""
         self._world.reset()
         self._collide()
         contacts = self._data.contact[: self._data.ncon]
@@ -220,13 +222,13 @@ class PlanningScene:
         return {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
 
     def sync(self, state: SceneState, postures: Mapping[str, Array], grippers: Mapping[str, float]) -> None:
-        """Go to a state, with each robot's arm and gripper where they are."""
+        """Set the scene to a state, with the arm and gripper positions of each robot."""
         self._world.reset(SceneState.of(state.poses, state.joints, state.motions))
         for name, q in postures.items():
             self.pose(name, q, grippers[name])
 
     def pose(self, robot: str, q: Array, share: float) -> None:
-        """Put a robot's arm into a posture, with its gripper closed by ``share``."""
+        """Set a robot's arm to a posture, with its gripper closed by ``share``."""
         native = mujoco_model(self.scene.robot(robot))
         assert native is not None
         names = list(native.joints.values()) or list(self._world.robot(robot).joints)
@@ -240,7 +242,7 @@ class PlanningScene:
         self._data.qpos[self._model.joint(joint).qposadr[0]] = position
 
     def put(self, name: str, X_WO: Pose) -> None:
-        """Put an object somewhere."""
+        """Set the pose of an object."""
         start = self._free[name]
         self._data.qpos[start : start + 7] = [*X_WO.p, *X_WO.q]
 
@@ -251,9 +253,9 @@ class PlanningScene:
         mujoco.mj_collision(self._model, self._data)
 
     def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
-        """Return whether a hand without its arm, and what it holds, would come nearer to anything than ``gap`` [m].
+        """Return whether a hand without its arm, and its object, would be closer to anything than ``gap`` [m].
 
-        Much cheaper than to find out how the arm gets there. The fingers are as they were posed last.
+        This is much cheaper than planning the arm's motion. The fingers keep their last position.
         """
         import mujoco
 
@@ -283,23 +285,21 @@ class PlanningScene:
         return False
 
     def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
-        """Bodies and geoms of a hand, the one with the hand's frame first, and that frame in it."""
+        """Bodies and geoms of a hand, the one with the hand's frame first, and that frame relative to it."""
         native = mujoco_model(self.scene.robot(robot))
         assert native is not None
         model, frame = self._model, native.frame("hand")
         top = model.body(f"{robot}.{frame.link}").id
         bodies = [top]
-        for body in range(top + 1, model.nbody):  # MuJoCo's order is depth first: a parent comes before its children
+        for body in range(top + 1, model.nbody):  # MuJoCo orders bodies depth first: parents precede children
             if int(model.body_parentid[body]) in bodies:
                 bodies.append(body)
         return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
 
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
-        """Return what the robots and objects that are ``moving`` together come nearer to than ``gap`` [m].
+        """Return the first body that the ``moving`` robots and objects are closer to than ``gap`` [m], or None.
 
-        None if nothing.
-
-        What they touch of each other and of ``ignore`` does not count.
+        Contacts among them and with ``ignore`` do not count.
         """
         self._collide()
         mine = set(moving)

@@ -1,4 +1,4 @@
-"""Where a held thing can be let go so that it comes to rest on or in another."""
+"""Release poses for a held object from which it comes to rest on or in another."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from simfoundry.scene.object_shapes import hulls, solid
 from simfoundry.scene.state import SceneState, object_at
 
 TURNS = 8
-"""Turns about the vertical that are tried."""
+"""Number of rotations about the vertical that are tried."""
 
 GRID, SPACING = 7, 0.012
-"""Most positions along each side of the target that are tried, and the least distance between them [m]."""
+"""Maximum number of positions along each side of the target, and their minimum spacing [m]."""
 
 SUNK = 0.008
-"""How far below the rim of a hollow the lowest point of what is in it lies at least [m]."""
+"""Minimum depth of an object's lowest point below the rim of a cavity [m]."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
 ENOUGH, LOOKED_AT = 48, 400
-"""So many places of a kind are enough to choose from, and so many on end are looked at for it at most."""
+"""Number of places of a kind that suffice, and maximum number of candidate poses on end that are tried."""
 
 FAR = 10.0
-"""Cost of a place for each metre from the middle."""
+"""Cost of a place per meter from the center."""
 
 LONG = 1.8
-"""A thing is long whose greatest extent is this many times its next: it may also stand on its end."""
+"""Minimum ratio of the two largest extents of a long object, which may also stand on end."""
 
 LEANS = (0.0, 0.3, 0.6)
-"""How far a long thing may lean [rad] when it goes into a hollow."""
+"""Tilt angles of a long object that is put into a cavity [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceAt:
-    """A pose in which a thing touches what is to carry it; ``cost`` is smaller for better ones."""
+    """A pose in which an object touches its support; better places have a smaller ``cost``."""
 
     X_WO: Pose
     cost: float
@@ -53,9 +53,9 @@ class PlaceAt:
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """A carrier: an object, or its link of index ``link``, among what else moves.
+    """A support: an object, or its link with index ``link``, among the other movable ones.
 
-    ``part`` is what carries, up to the height ``top`` [m]; ``walls`` are its colliders.
+    ``part`` is the supporting geometry, up to the height ``top`` [m]; ``walls`` are its collision parts.
     """
 
     whole: Hulls
@@ -69,9 +69,9 @@ class _Target:
 
 
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
-    """Poses of ``name`` on or inside ``target`` (an object or a link of one), from the best.
+    """Poses of ``name`` on or inside ``target`` (an object or a link of one), best first.
 
-    First as it lies, in the middle of where there is room for it so; a long thing also on its end.
+    First in its present orientation at the center of the free area; a long object also on end.
     """
     item, carrier = scene.object(name), _target(scene, state, name, target, inside)
     spots = _spots(carrier)
@@ -105,14 +105,14 @@ def _target(scene: Scene, state: SceneState, name: str, target: str, inside: boo
 def _tried(
     item: SceneObject, turns: list[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
-    """Every turn at every spot with its shape and what is to say against it, from the least."""
+    """Combine every rotation and position, with the resulting shape and cost, in order of cost."""
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
 
 
 def _placed(target: _Target, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
-    """A thing let down over a spot; None where it meets something else first, or is not inside as it should be."""
+    """Lower an object at a position; None if it first meets another object, or is not inside as required."""
     at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
     held = shape.moved(at)
     lift = _rest(held, target.whole, target.link)
@@ -127,7 +127,9 @@ def _placed(target: _Target, turn: Pose, shape: Hulls, spot: Array, cost: float)
 
 
 def _central(found: list[PlaceAt]) -> list[PlaceAt]:
-    """The places nearest to the middle of them all: what lies half under a lid has its room in the other half."""
+    """Places closest to the center of all found; for an object half under a lid, this is the center of the open
+    half.
+    """
     if not found:
         return []
     middle = np.mean([place.X_WO.p[:2] for place in found], axis=0)
@@ -137,14 +139,14 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
 
 
 def _walled(walls: HalfSpaces, foot: Array) -> bool:
-    """Return whether a point at the foot of a thing has walls on most sides, there or a little higher."""
+    """Return whether a point at an object's foot has walls on most sides, there or slightly higher."""
     angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
     rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
     return any(met(walls, foot + height * UP, rays).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
 def _spots(target: _Target) -> list[tuple[Array, float]]:
-    """Positions in the plane [m] over a target, from its middle outwards, and how far from the middle they are."""
+    """Positions in the plane [m] over a target, from its center outward, and their distances from the center."""
     part, R_WC = target.part, target.X_WC.rotation
     middle = part.middle(R_WC)
     if target.inside:
@@ -157,18 +159,18 @@ def _spots(target: _Target) -> list[tuple[Array, float]]:
 
 
 def _odd(count: float) -> int:
-    """An odd number of positions up to :data:`GRID`, so that the middle is one of them."""
+    """Round to an odd number of positions up to :data:`GRID`, so that the center is one of them."""
     return 2 * (int(np.clip(count, 3, GRID)) // 2) + 1
 
 
 def _turned(pose: Pose) -> list[Pose]:
-    """The rotation of a pose, turned about the vertical."""
+    """Rotations of a pose about the vertical."""
     now = Pose.of(q=pose.q)
     return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Rotations of a long thing on its ends, leaning as far as :data:`LEANS`, and what is to say against them."""
+    """Yield rotations of a long object on its ends, tilted by up to :data:`LEANS`, with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return
@@ -177,7 +179,7 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
     heading = math.atan2(level[1], level[0])
     for lean in LEANS:
         for sign in (1, -1):
-            # Turned about the level axis across it, until it points down or up.
+            # Rotate about the horizontal axis across it, until it points down or up.
             upend = Pose.of(q=_about(heading + math.pi / 2, sign * (math.pi / 2 - lean))) @ now
             for turn in _turned(upend):
                 yield turn, 0.3 + 0.1 * lean
@@ -189,7 +191,7 @@ def _about(heading: float, angle: float) -> Array:
 
 
 def _long_axis(item: SceneObject) -> int | None:
-    """The axis of its frame along which a thing is long, if any."""
+    """Axis of the object's frame along which it is long, if any."""
     shape = hulls(replace(item, X_WO=Pose.of()))
     size = shape.size()
     axis = int(size.argmax())
@@ -197,7 +199,7 @@ def _long_axis(item: SceneObject) -> int | None:
 
 
 def _rest(held: Hulls, whole: Hulls, link: int | None) -> float | None:
-    """Return how far a thing is lifted when it comes down on the target [m]; None where it meets another part first."""
+    """Height by which an object that rests on the target is lifted [m]; None if it meets another part first."""
     touching = heights(held, whole)
     lift = float(touching.max())
     if not math.isfinite(lift):

@@ -1,4 +1,4 @@
-"""From what a task asks for to what hands do: one skill for each predicate that hands can bring about."""
+"""Scripted expert policy: maps the predicates of a task to skills of the hands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from simfoundry.spec.models.expressions import Call, Condition, parse_call, part
 
 
 class Skill(StrEnum):
-    """The skills of hands."""
+    """The skills of the hands."""
 
     PICK = "pick"
     PUT_ON = "put on"
@@ -40,15 +40,16 @@ SKILLS = {
     "Open": Skill.OPEN,
     "Closed": Skill.CLOSE,
 }
-"""What brings a predicate about. Those that are not here come with the others (Touching, Released, Upright) or are
-where things happen to stand."""
+"""Skill that makes each predicate true. Predicates not listed become true along with others (Touching, Released,
+Upright) or depend on where objects happen to stand.
+"""
 
 PUTS = (Skill.PUT_ON, Skill.PUT_IN)
 
 
 @dataclass(frozen=True)
 class ExpertStep:
-    """One thing to do: ``skill`` with the arguments of the predicate ``until`` that it is to bring about."""
+    """One action: ``skill`` with the arguments of the predicate ``until`` that it makes true."""
 
     skill: Skill
     args: tuple[str, ...]
@@ -56,29 +57,29 @@ class ExpertStep:
 
 
 class HasGoal(Protocol):
-    """A sub-task, as far as it says what is asked."""
+    """A sub-task, reduced to its goal."""
 
     @property
     def goal(self) -> Condition:
-        """When it is done."""
+        """Condition under which the sub-task is done."""
         ...
 
 
 def steps(goal: Condition, subtasks: Mapping[str, HasGoal]) -> tuple[ExpertStep, ...]:
-    """Return what to do, in order: for each sub-task, and then for what the goal asks beyond them."""
+    """Return the steps in order: those of each sub-task, then those for the remaining goal."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
 
 
 def goal_steps(goal: Condition) -> tuple[ExpertStep, ...]:
-    """Return what the goal itself asks for."""
+    """Return the steps for the goal itself."""
     found = tuple(_of(goal))
     return tuple(step for step in found if not _leads_to(step, list(found)))
 
 
 def _leads_to(step: ExpertStep, later: list[ExpertStep]) -> bool:
-    """Return whether a later step takes the thing up itself."""
+    """Return whether a later step picks up the object itself."""
     return step.skill is Skill.PICK and any(s.skill in PUTS and s.args[0] == step.args[0] for s in later)
 
 
@@ -97,17 +98,17 @@ def _of(condition: Condition) -> Iterator[ExpertStep]:
 
 
 CHUNK = 3
-"""Actions in an answer: a fifth of a second at 15 Hz, so that a lost grasp is seen soon."""
+"""Number of actions per answer: a fifth of a second at 15 Hz, so that a lost grasp is noticed soon."""
 
 ATTEMPTS = 4
-"""How often a step is tried before the next is."""
+"""Number of attempts per step."""
 
 PAUSE = 1.0
-"""How long it waits after a failure before it looks again [s]."""
+"""Waiting time after a failure before the next observation [s]."""
 
 
 class ExpertPolicy:
-    """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
+    """A scripted :class:`~simfoundry.evaluate.policies.base.Policy`. It needs MuJoCo and mink for planning."""
 
     def __init__(self, task: Task, judge: Judge | None = None) -> None:
         need_extra("expert", "the scripted expert")
@@ -119,27 +120,27 @@ class ExpertPolicy:
 
     @property
     def name(self) -> str:
-        """Return what reports call it."""
+        """Name in reports."""
         return "expert"
 
     @property
     def action_space(self) -> ActionSpace:
-        """Return what the arm's numbers mean."""
+        """Meaning of the arm's numbers."""
         return ActionSpace.JOINT_POSITION
 
     @property
     def cameras(self) -> Mapping[str, ImageSize]:
-        """None: it sees the truth."""
+        """Return an empty mapping: the expert uses the true state."""
         return MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin a rollout."""
+        """Start a rollout."""
         self._worker.begin(seed)
         self._script = None
         self.log = []
 
     def infer(self, observation: Observation) -> Array:
-        """The next actions, shape (3, numbers of an action)."""
+        """Return the next actions, shape (3, numbers of an action)."""
         self._worker.look(observation)
         if self._script is None:
             self._script = self._work()
@@ -150,10 +151,10 @@ class ExpertPolicy:
         return np.array(rows)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there are no resources to release."""
 
     def _work(self) -> Script:
-        """Every step of the task, then what of the goal does not hold, and then stillness."""
+        """Run every step of the task, then those for unmet parts of the goal, then hold still."""
         for step in steps(self._task.goal, self._task.subtasks):
             yield from self._achieve(step)
         for _ in range(ATTEMPTS):
@@ -171,7 +172,7 @@ class ExpertPolicy:
             except FailedError as error:
                 self.log.append(f"{step.until}: {error}")
                 yield from self._recover()
-        self.log.append(f"{step.until}: given up")
+        self.log.append(f"{step.until}: gave up")
 
     def _do(self, step: ExpertStep) -> Script:
         worker = self._worker
@@ -192,7 +193,7 @@ class ExpertPolicy:
                 yield from put(worker, robot, found)
 
     def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
-        """The places at which the step would be done."""
+        """Places at which the step would be done."""
         state, thing = self._worker.now.state, step.args[0]
         apart = replace(state, robots=MappingProxyType({}), speeds=MappingProxyType({}))
         states = [replace(apart, poses={**state.poses, thing: place.X_WO}) for place in found]
@@ -202,7 +203,7 @@ class ExpertPolicy:
         return [place for place, good in zip(found, holds, strict=True) if good]
 
     def _recover(self) -> Script:
-        """Let go, and back to where the arm began; then a look at what has come to rest."""
+        """Release, return the arm to its initial posture, and wait until objects rest."""
         worker = self._worker
         for robot, planner in worker.planners.items():
             worker.held.pop(robot, None)

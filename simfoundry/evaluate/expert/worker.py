@@ -1,4 +1,4 @@
-"""How fast a path is gone: postures at each control step, from rest to rest."""
+"""Execution of the expert's skills: time parameterization of paths, commands, and the state of each arm."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from simfoundry.robots.fingers import jaws
 from simfoundry.scene.model import Scene
 
 JOINT, HAND = 1.1, 0.35
-"""Greatest speeds of a joint [rad/s] and of the hand [m/s]: half of what a Panda allows."""
+"""Maximum speeds of a joint [rad/s] and of the hand [m/s]: half of a Panda's limits."""
 
 AROUND = 0.4
-"""Share of both on a path with corners: servos that lag by 0.1 s cut them, by 3 cm at full speed."""
+"""Share of both speeds on paths with corners: servos with a lag of 0.1 s cut corners by 3 cm at full speed."""
 
 CAREFUL = 0.12
-"""Greatest speed of the hand [m/s] near things."""
+"""Maximum hand speed near objects [m/s]."""
 
 RAMP = 0.35
-"""Seconds from rest to full speed."""
+"""Time from rest to full speed [s]."""
 
 
 def paced(
     path: Path, hand: Callable[[Array], Pose], hz: float, speed: float = HAND, joint: float = JOINT
 ) -> list[Array]:
-    """Postures at each step of a control of ``hz`` on a path, no faster than ``speed`` [m/s] and ``joint`` [rad/s]."""
+    """Postures at each control step (``hz``) of a path, no faster than ``speed`` [m/s] and ``joint`` [rad/s]."""
     points = _dense(path)
     places = np.array([hand(q).p for q in points])
     joints = np.abs(np.diff(points, axis=0)).max(axis=1, initial=0.0) / joint
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1) / speed
     at = np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(joints, moved), 1e-9))])
     length = float(at[-1])
-    # From rest to rest: a trapezoid of speed, or a triangle where the way is short.
+    # From rest to rest: a trapezoidal speed profile, or a triangular one if the path is short.
     ramp = min(RAMP, float(np.sqrt(length * RAMP)))
     top = ramp / RAMP
     total = length / top + ramp if ramp == RAMP else 2 * ramp
@@ -53,7 +53,7 @@ def paced(
 
 
 def _dense(path: Path) -> Array:
-    """The path with postures close enough for the speed of the hand to be seen, shape (k, n)."""
+    """Interpolate the path densely enough to determine the speed of the hand, shape (k, n)."""
     found = [path[0]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / 0.05)))
@@ -62,23 +62,23 @@ def _dense(path: Path) -> Array:
 
 
 Script = Generator[None, None, None]
-"""Something done with the arms; each ``yield`` is a control step with the present commands."""
+"""A skill in progress; each ``yield`` is a control step with the present commands."""
 
 LOST = 0.03
-"""A held thing that moves further than this in the hand between two looks [m] is lost; it may creep."""
+"""Displacement of a held object in the hand between two observations above which it is lost [m]; it may creep."""
 
 ARRIVED = 0.003
-"""A joint this close to its target is there [rad]."""
+"""Position tolerance for a joint at its target [rad]."""
 
 PATIENCE = 12
-"""Control steps that an arm is waited for."""
+"""Maximum number of control steps to wait for an arm."""
 
 CORRECTION, MOST = 0.6, 0.05
-"""How much of a resting arm's error is added to its targets each time, and how much in all [rad]: servos sag."""
+"""Share of a resting arm's error added to its targets each time, and total limit [rad], to compensate for servo sag."""
 
 
 class FailedError(Exception):
-    """A skill came to nothing; the message says why."""
+    """Failure of a skill; the message gives the reason."""
 
 
 class ExpertWorker:
@@ -109,12 +109,12 @@ class ExpertWorker:
 
     @property
     def now(self) -> Observation:
-        """The latest observation."""
+        """Latest observation."""
         assert self.seen is not None
         return self.seen
 
     def look(self, observation: Observation) -> None:
-        """Take in an observation; an arm that rests learns how far it sags."""
+        """Store an observation; for an arm at rest, update the sag compensation."""
         self.seen = observation
         for name in self._robots:
             measured = observation.robots[name].joints
@@ -126,29 +126,29 @@ class ExpertWorker:
             self._before[name] = self.q[name]
 
     def command(self) -> Array:
-        """The action of the present step."""
+        """Action of the present step."""
         parts = [np.append(self.q[name] + self._bias[name], self.share[name]) for name in self._robots]
         return np.concatenate(parts)
 
     def sync(self) -> None:
-        """Bring the planning model to what is seen now."""
+        """Set the planning model to the present state."""
         grippers = {name: self.now.robots[name].gripper for name in self._robots}
         self.cell.sync(self.now.state, self.q, grippers)
 
     def go(self, robot: str, path: Path) -> Script:
-        """Go a way through free space: straight at full speed, around corners slower."""
+        """Follow a path through free space: at full speed if straight, slower around corners."""
         share = 1.0 if len(path) <= 2 else AROUND
         return self.follow(robot, path, share * HAND, share * JOINT)
 
     def follow(self, robot: str, path: Path, speed: float = HAND, joint: float = JOINT) -> Script:
-        """Go along a path no faster than ``speed`` [m/s] of the hand and ``joint`` [rad/s]."""
+        """Follow a path no faster than ``speed`` [m/s] of the hand and ``joint`` [rad/s]."""
         for q in paced(path, self.arms[robot].hand, self.hz, speed, joint):
             self.q[robot] = q
             yield
             self.check(robot)
 
     def settle(self, robot: str) -> Script:
-        """Wait until the arm is where it is to be."""
+        """Wait until the arm reaches its target."""
         for _ in range(PATIENCE):
             yield
             self.check(robot)
@@ -173,7 +173,7 @@ class ExpertWorker:
                 last = gripper
 
     def check(self, robot: str) -> None:
-        """Raise :class:`FailedError` where the thing that was held is held no more."""
+        """Raise :class:`FailedError` if the hand has lost its object."""
         held = self.held.get(robot)
         if held is None:
             return

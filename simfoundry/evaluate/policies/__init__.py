@@ -1,1 +1,1 @@
-"""Policies: what is asked for actions, near or over a wire."""
+"""Policies: in-process and remote sources of actions."""

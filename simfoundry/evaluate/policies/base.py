@@ -15,11 +15,11 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 
 Image = NDArray[np.uint8]
-"""A colour picture, shape (height, width, 3)."""
+"""A color image, shape (height, width, 3)."""
 
 
 class ActionSpace(StrEnum):
-    """Meaning of the numbers of an action; no protocol transmits it, so a policy's spec says it."""
+    """Meaning of the numbers of an action; protocols do not transmit it, so a policy's spec states it."""
 
     JOINT_POSITION = "joint_position"
     JOINT_VELOCITY = "joint_velocity"
@@ -27,7 +27,7 @@ class ActionSpace(StrEnum):
 
 @dataclass(frozen=True)
 class ImageSize:
-    """Pixels of a picture that a policy asks for."""
+    """Size in pixels of an image requested by a policy."""
 
     width: int
     height: int
@@ -35,7 +35,7 @@ class ImageSize:
 
 @dataclass(frozen=True, eq=False)
 class RobotReading:
-    """A robot's own senses: ``joints`` [rad or m] of the arm in order, shape (n,); ``gripper`` 0 open to 1 closed.
+    """A robot's proprioception: ``joints`` [rad or m] of the arm in order, shape (n,); ``gripper`` 0 open to 1 closed.
 
     ``X_WH`` is the pose of its hand in the world, ``X_BH`` in its base.
     """
@@ -48,10 +48,10 @@ class RobotReading:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """The input of a policy that is asked for actions.
+    """The input of a policy.
 
-    ``time`` [s] since the start; ``robots`` those that act, in the task's order; ``images`` by the scene's cameras,
-    those that the policy asked for; ``state`` the truth, for policies that may cheat, as the scripted expert.
+    ``time`` [s] since the start; ``robots`` that act, in the task's order; requested ``images`` by camera of the scene;
+    ``state`` is the true state, for privileged policies such as the scripted expert.
     """
 
     time: float
@@ -62,7 +62,7 @@ class Observation:
 
 
 class Policy(Protocol):
-    """Something that says what robots do next.
+    """A policy, which determines the robots' next actions.
 
     An action has, for each robot of the task in order, its arm's joints (positions [rad or m], or velocities [rad/s or
     m/s], by ``action_space``) and then its gripper, 0 open to 1 closed.
@@ -70,35 +70,37 @@ class Policy(Protocol):
 
     @property
     def name(self) -> str:
-        """The name in reports."""
+        """Name in reports."""
         ...
 
     @property
     def action_space(self) -> ActionSpace:
-        """The meaning of the arm's numbers."""
+        """Meaning of the arm's numbers."""
         ...
 
     @property
     def cameras(self) -> Mapping[str, ImageSize]:
-        """The cameras of the scene that it wants to see through, and in what size; nothing else is rendered."""
+        """Cameras of the scene that the policy uses, with their image sizes; nothing else is rendered."""
         ...
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin a rollout. Whatever is random in the policy starts from ``seed``."""
+        """Start a rollout. All randomness of the policy must derive from ``seed``."""
         ...
 
     def infer(self, observation: Observation) -> Array:
-        """Actions to carry out one after another before it is asked again, shape (horizon, numbers of an action)."""
+        """Return actions to apply before the next call, shape (horizon, numbers of an action)."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release all resources."""
         ...
 
 
 class PolicyError(SimfoundryError):
-    """A policy cannot be asked or does not answer: nothing is known of how well it acts. It says what to do."""
+    """A policy that cannot be queried or does not answer, so its performance is unknown; the message gives the
+    remedy.
+    """
 
 
 class InvalidAnswerError(PolicyError):
-    """A policy answered with an error or with something that is not actions: what it was asked in has failed."""
+    """A policy's answer that is an error or not an array of actions; the rollout counts as failed."""

@@ -1,4 +1,4 @@
-"""Policies as users name them: a word, a server, a document, a recording, a Python class."""
+"""Selection of policies by users: a word, a server, a document, a recording, or a Python class."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 @dataclass(frozen=True)
 class ExpertChoice:
-    """The scripted expert, which is made with its task."""
+    """The scripted expert, which is created with its task."""
 
 
 @dataclass(frozen=True)
@@ -25,29 +25,29 @@ class RandomChoice:
 
 @dataclass(frozen=True)
 class ReplayChoice:
-    """The actions of a recording."""
+    """Replay of the actions of a recording."""
 
     path: Path
 
 
 Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | PythonClass
-"""A policy that was chosen and is not yet made."""
+"""A selected policy that has not been created yet."""
 
 
 def parse_policy(text: str) -> Choice:
-    """The policy that a text means; raises :class:`PolicyError` with a sentence, ``SpecError`` for a bad document.
+    """Parse the text that selects a policy; raises :class:`PolicyError`, or ``SpecError`` for a bad document.
 
     ``random``, ``expert``, ``replay:FILE``, ``python:MODULE:CLASS`` (or ``python:FILE.py:CLASS``; arguments follow as
-    ``?name=value&…``), a path to a ``*.policy.yaml``, or a server in short,
-    ``openpi:localhost:8000?action_space=joint_position&horizon=8``: the keys are those of a policy document, as far as
-    they hold one word or number; the cameras are those of DROID.
+    ``?name=value&…``), a path to a ``*.policy.yaml``, or a server in short form,
+    ``openpi:localhost:8000?action_space=joint_position&horizon=8``: the keys are those of a policy document that take a
+    single word or number; the cameras are those of DROID.
     """
     if text in ("random", "expert"):
         return RandomChoice() if text == "random" else ExpertChoice()
     kind, _, rest = text.partition(":")
     if kind == "replay":
         if not rest:
-            raise PolicyError("say which recording is replayed, as `replay:rollout.npz`")
+            raise PolicyError("name the recording to replay, such as `replay:rollout.npz`")
         return ReplayChoice(Path(rest))
     if kind == "python":
         return _python(rest)
@@ -57,11 +57,11 @@ def parse_policy(text: str) -> Choice:
         return _short(kind, rest)
     words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
     servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PROTOCOLS.names())
-    raise PolicyError(f"`{text}` is no policy: give {words}, or a server, {servers}")
+    raise PolicyError(f"`{text}` is not a policy: give {words}, or a server, {servers}")
 
 
 def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
-    """The policy that was chosen, connected to nothing before its first rollout; the expert is made with its task."""
+    """Create a selected policy, which connects at its first rollout; the expert is created with its task."""
     if isinstance(choice, RandomChoice):
         from simfoundry.evaluate.policies.random_walk import RandomPolicy
 
@@ -85,7 +85,7 @@ def _python(rest: str) -> PythonClass:
     wrong = next((key for key, _ in said if not key.isidentifier()), None)
     if wrong is not None or len({key for key, _ in said}) < len(said):
         raise PolicyError(
-            f"`{query}` are no arguments of `{name}`; write each once, as `?checkpoint=last.pt&horizon=8`"
+            f"`{query}` are not valid arguments of `{name}`; write each once, such as `?checkpoint=last.pt&horizon=8`"
         )
     return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
 
@@ -99,15 +99,15 @@ def _document(path: Path) -> PolicySpec:
 
 
 def _short(protocol: str, rest: str) -> PolicySpec:
-    """A server with what follows its address, as a document would say it."""
+    """Parse a server's short form as an equivalent policy document."""
     from pydantic import ValidationError
 
     address, _, query = rest.partition("?")
     said = {key: _value(value) for key, value in parse_qsl(query, keep_blank_values=True)}
     if "action_space" not in said:
         full = f"{protocol}:{address or 'localhost'}?action_space=joint_position"
-        reason = "what the arm's numbers mean is not on the wire"
-        raise PolicyError(f"{reason}: say `{full}` or `…=joint_velocity`, or write a policy document")
+        reason = "the protocol does not transmit the meaning of the arm's numbers"
+        raise PolicyError(f"{reason}: write `{full}` or `…=joint_velocity`, or write a policy document")
     whole: dict[str, Any] = {
         "simfoundry": "policy/1",
         "name": protocol,
@@ -125,7 +125,7 @@ def _short(protocol: str, rest: str) -> PolicySpec:
 
 
 def _value(text: str) -> str | int | float:
-    """A number where it is written as one, in digits; `true` and `false`; else the text: `nan` may be a name."""
+    """Parse a number written in digits, or `true` and `false`; otherwise keep the text, because `nan` may be a name."""
     if text in ("true", "false"):
         return text == "true"
     if re.fullmatch(r"[+-]?[0-9]+", text):

@@ -1,4 +1,4 @@
-"""Answers of servers as actions: checked, since they come from elsewhere, and converted to our units."""
+"""Validation of servers' answers, which are untrusted, and their conversion to actions in our units."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from simfoundry.spec.models.policy import PolicySpec
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
-    """The first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
+    """Return the first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
 
-    Joints in rad, m, rad/s or m/s; grippers 0 open to 1 closed. Raises :class:`InvalidAnswerError` for
-    what is no such array.
+    Joints are in rad, m, rad/s or m/s; grippers from 0 open to 1 closed. Raises :class:`InvalidAnswerError` if the
+    answer is not such an array.
     """
     width = sum(len(robot.joints) + 1 for robot in robots.values())
     chunk = _checked(spec, answer, width, _words(robots))
@@ -46,10 +46,10 @@ def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
     if answer.ndim != 2:
         raise InvalidAnswerError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
     if answer.shape[1] != width:
-        message = f"{spec.name} answered with {answer.shape[1]} numbers for each action, and the robots take {width}"
+        message = f"{spec.name} answered with {answer.shape[1]} numbers per action, but the robots take {width}"
         raise InvalidAnswerError(f"{message}: {words}")
     if len(answer) < spec.horizon:
-        message = f"{spec.name} answered with {len(answer)} actions, and its `horizon` is {spec.horizon}"
+        message = f"{spec.name} answered with {len(answer)} actions, but its `horizon` is {spec.horizon}"
         raise InvalidAnswerError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
     wrong = np.argwhere(~np.isfinite(answer))
     if len(wrong):

@@ -1,8 +1,8 @@
-"""Arrays in msgpack as openpi and RoboArena write them; what comes in is data, never code.
+"""Arrays in msgpack in the format of openpi and RoboArena; received data is never executed.
 
-An array is a map ``{b"__ndarray__": True, b"data", b"dtype", b"shape"}``, a single number of NumPy
-``{b"__npgeneric__": True, b"data", b"dtype"}``. Numbers and truth values only: objects, which other codecs pickle,
-structures and complex numbers are refused (openpi-client 0.1.2, ``msgpack_numpy.py``, for the format).
+An array is a map ``{b"__ndarray__": True, b"data", b"dtype", b"shape"}``, a NumPy scalar ``{b"__npgeneric__": True,
+b"data", b"dtype"}``. Only numbers and booleans are allowed: objects (which other codecs pickle), structures and complex
+numbers are refused (format: openpi-client 0.1.2, ``msgpack_numpy.py``).
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 PLAIN = "fiub"
-"""Kinds of NumPy types that are taken: floats, integers, truth values."""
+"""Accepted kinds of NumPy types: floats, integers, booleans."""
 MAX_DIMENSIONS = 8
 
 
 class CodecError(ValueError):
-    """A message that is not what the protocol says; the text says in which way."""
+    """A message that violates the protocol; the text describes the violation."""
 
 
 def pack(message: Any) -> bytes:
-    """A message as bytes; raises :class:`CodecError` for what cannot be said."""
+    """Serialize a message to bytes; raises :class:`CodecError` for unsupported values."""
     import msgpack
 
     try:
@@ -33,7 +33,7 @@ def pack(message: Any) -> bytes:
 
 
 def unpack(data: bytes) -> Any:
-    """A message of bytes; raises :class:`CodecError`. Nothing larger than ``data`` is made of it."""
+    """Parse a message from bytes; raises :class:`CodecError`. Allocates nothing larger than ``data``."""
     import msgpack
 
     try:
@@ -45,11 +45,11 @@ def unpack(data: bytes) -> Any:
 
 
 def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C") -> np.ndarray[Any, Any]:
-    """Bytes as an array, whose size they must have; raises :class:`CodecError`."""
+    """Interpret bytes as an array of exactly that size; raises :class:`CodecError`."""
     if dtype.kind not in PLAIN:
         raise CodecError(f"it holds an array of `{dtype}`, not of plain numbers")
     if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):
-        raise CodecError(f"it holds an array of the shape {list(shape)[:MAX_DIMENSIONS]}")
+        raise CodecError(f"it holds an array of the invalid shape {list(shape)[:MAX_DIMENSIONS]}")
     if math.prod(shape) * dtype.itemsize != len(data):
         raise CodecError(f"it holds an array of {list(shape)} `{dtype}` in {len(data)} bytes")
     array = np.frombuffer(data, dtype) if data else np.empty(0, dtype)
@@ -57,13 +57,13 @@ def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: s
 
 
 def type_of(name: Any) -> np.dtype[Any]:
-    """The type that a text such as ``<f4`` names; raises :class:`CodecError`. Nothing but a short text is looked at."""
+    """Return the type named by a text such as ``<f4``; raises :class:`CodecError`. Only short texts are parsed."""
     try:
         if not isinstance(name, str) or len(name) > 8:
             raise TypeError
         return np.dtype(name)
     except (TypeError, ValueError):
-        raise CodecError("it holds an array of no known type") from None
+        raise CodecError("it holds an array of an unknown type") from None
 
 
 def _array_to_map(value: Any) -> Any:
@@ -84,9 +84,9 @@ def _map_to_array(found: dict[Any, Any]) -> Any:
     if b"__npgeneric__" in found:
         kind, value = type_of(found.get(b"dtype")), found.get(b"data")
         if kind.kind not in PLAIN or not isinstance(value, bool | int | float):
-            raise CodecError("it holds a number of no known type")
+            raise CodecError("it holds a number of an unknown type")
         try:
             return kind.type(value)
         except (OverflowError, ValueError):
-            raise CodecError(f"it holds a number beyond `{kind}`") from None
+            raise CodecError(f"it holds a number out of range for `{kind}`") from None
     return found

@@ -16,16 +16,18 @@ from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
-"""Names of servers for the robot's state, and ours of a policy document; ``eef_9d`` is made apart."""
+"""Servers' names for the robot's state, and the corresponding ones of a policy document; ``eef_9d`` is computed
+separately.
+"""
 ACTION = ("joint_position", "gripper_position")
-"""The parts of an answer that are carried out."""
+"""Parts of an answer that are executed."""
 
 
 class GrootPolicy(RemotePolicy):
-    """A policy behind ``PolicyServer`` of GR00T, of one arm.
+    """A client of GR00T's ``PolicyServer``, for one arm.
 
-    It says itself what it takes (``get_modality_config``). Where that is pictures of earlier steps, as of N1.7, they
-    are those of earlier questions: ``horizon`` must divide how far it looks back.
+    The server describes its inputs (``get_modality_config``). If it needs images of earlier steps, as N1.7 does, they
+    are those of earlier queries: ``horizon`` must divide the number of steps that it looks back.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -35,7 +37,7 @@ class GrootPolicy(RemotePolicy):
         self._past: list[Mapping[str, Mapping[str, Any]]] = []
 
     def begin(self) -> None:
-        """Ask the server what it takes, hold that against the document, and let it forget the rollout before."""
+        """Query the server's modalities, check them against the document, and reset the server's rollout."""
         self._requests.begin()
         self._past = []
         found = self._requests.ask("get_modality_config")
@@ -47,9 +49,9 @@ class GrootPolicy(RemotePolicy):
         self._requests.ask("reset", {"options": None})
 
     def ask(self, observation: Observation) -> object:
-        """Joints and gripper of the answer side by side, shape (steps, 8) of a Franka."""
+        """Return the joints and gripper of the answer side by side, shape (steps, 8) for a Franka."""
         if len(observation.robots) != 1:
-            message = f"a policy of groot moves one arm, and the task has {len(observation.robots)} robots"
+            message = f"a groot policy moves one arm, but the task has {len(observation.robots)} robots"
             raise self._requests.fail(message)
         self._past = [*self._past, self._seen(observation)][-self._depth() :]
         request = {
@@ -65,16 +67,16 @@ class GrootPolicy(RemotePolicy):
             raise self._requests.fail(message, InvalidAnswerError) from None
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._requests.close()
 
     def _depth(self) -> int:
-        """The number of moments that are remembered, the present one included."""
+        """Number of remembered time steps, including the present one."""
         steps = (*self._takes["video"].steps, *self._takes["state"].steps)
         return 1 + max(-step // self.spec.horizon for step in steps)
 
     def _seen(self, observation: Observation) -> Mapping[str, Mapping[str, Any]]:
-        """Everything the server takes, of this moment."""
+        """Collect all inputs of the server at this time."""
         images = pictures(self.spec, observation)
         (robot,) = observation.robots.values()
         senses = {
@@ -86,21 +88,21 @@ class GrootPolicy(RemotePolicy):
         return {"video": {k: images[k] for k in self._takes["video"].keys}, "state": senses}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
-        """The values at the steps that the server asks for, the first repeated before it; shape (1, T, ...)."""
+        """Values at the time steps that the server requests, the first one repeated before it; shape (1, T, ...)."""
         last = len(self._past) - 1
         moments = [max(0, last + step // self.spec.horizon) for step in self._takes[kind].steps]
         return np.stack([np.asarray(self._past[k][kind][key], dtype=number) for k in moments])[None]
 
 
 def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
-    """Raise :class:`PolicyError` where the document, or this client, does not give what a server takes."""
+    """Raise :class:`PolicyError` if the document, or this client, lacks an input that the server needs."""
     for key in takes["video"].keys:
         if key not in spec.cameras:
-            raise PolicyError(f"the server takes the picture `{key}`, which `cameras` of {spec.name} does not have")
+            raise PolicyError(f"the server needs the image `{key}`, which is missing in `cameras` of {spec.name}")
     for key in takes["state"].keys:
         if key not in READINGS and key != "eef_9d":
             known = ", ".join([*READINGS, "eef_9d"])
-            raise PolicyError(f"the server is to be told `{key}`; this client knows {known}")
+            raise PolicyError(f"the server needs the state `{key}`; this client supports {known}")
     missing = [key for key in ACTION if key not in takes["action"].keys]
     if missing:
         raise PolicyError(f"the server's actions have no `{missing[0]}`, only {', '.join(takes['action'].keys)[:200]}")
@@ -109,13 +111,13 @@ def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
             if step > 0 or -step % spec.horizon:
                 fits = [n for n in range(1, -step + 1) if -step % n == 0]
                 raise PolicyError(
-                    f"the server looks {-step} steps back, where `horizon: {spec.horizon}` asks nothing; "
+                    f"the server looks {-step} steps back, but `horizon: {spec.horizon}` makes no query at that step; "
                     f"use one of {', '.join(map(str, fits))}"
                 )
 
 
 def _joined(answer: Any) -> Array:
-    """The parts of an action side by side, of an answer ``[actions, info]``."""
+    """Join the parts of an action side by side, from an answer ``[actions, info]``."""
     parts = answer[0] if isinstance(answer, list | tuple) and answer else answer
     if not isinstance(parts, dict):
         raise PolicyError(f"it is a `{type(parts).__name__}`, not a mapping of actions")
@@ -129,7 +131,7 @@ def _joined(answer: Any) -> Array:
             raise PolicyError(f"`{key}` is an array of `{part.dtype}`, not of numbers")
         found.append(part[0].astype(np.float64))
     if len(found[0]) != len(found[1]):
-        raise PolicyError(f"it has {len(found[0])} steps of joints and {len(found[1])} of the gripper")
+        raise PolicyError(f"it has {len(found[0])} steps for the joints but {len(found[1])} for the gripper")
     return np.concatenate(found, axis=1)
 
 

@@ -1,8 +1,8 @@
-"""Messages of GR00T: msgpack whose arrays are NumPy files (``gr00t/policy/server_client.py``, N1.6 and N1.7).
+"""GR00T's message format: msgpack with arrays as NumPy files (``gr00t/policy/server_client.py``, N1.6 and N1.7).
 
-An array is ``{"__ndarray_class__": True, "as_npy": bytes}``; what a policy takes and gives is described by
-``{"__ModalityConfig_class__": True, "as_json": {...}}``. What comes in is data: objects in arrays are refused, and
-nothing larger than the message is made of it.
+An array is ``{"__ndarray_class__": True, "as_npy": bytes}``; a policy's inputs and outputs are described by
+``{"__ModalityConfig_class__": True, "as_json": {...}}``. Received data is not trusted: object arrays are refused, and
+nothing larger than the message is allocated.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from simfoundry.evaluate.policies.codec import CodecError, array_of, type_of
 
 HEADER = 10_000
-"""Longest header of a NumPy file that is read [bytes]."""
+"""Maximum header size of a NumPy file [bytes]."""
 
 
 def pack(message: Any) -> bytes:
-    """A message as bytes; raises :class:`CodecError` for what cannot be said."""
+    """Serialize a message to bytes; raises :class:`CodecError` for unsupported values."""
     import msgpack
 
     try:
@@ -32,7 +32,7 @@ def pack(message: Any) -> bytes:
 
 
 def unpack(data: bytes) -> Any:
-    """A message of bytes; raises :class:`CodecError`. A modality is the mapping of its JSON."""
+    """Parse a message from bytes; raises :class:`CodecError`. A modality becomes the mapping of its JSON."""
     import msgpack
 
     try:
@@ -64,18 +64,19 @@ def _map_to_value(found: dict[Any, Any]) -> Any:
         except ValueError:
             described = None
         if not isinstance(described, dict):
-            raise CodecError("it holds a modality that describes nothing")
+            raise CodecError("it holds a modality without a description")
         return described
     return found
 
 
 def from_npy(data: Any) -> np.ndarray[Any, Any]:
-    """The array of a NumPy file; raises :class:`CodecError`.
+    """Parse an array from a NumPy file; raises :class:`CodecError`.
 
-    ``numpy.load`` sets aside what the header asks for before it looks how much there is; here the two must agree first.
+    ``numpy.load`` allocates the size stated by the header before it checks the available data; here both must agree
+    first.
     """
     if not isinstance(data, bytes) or not data.startswith(b"\x93NUMPY") or data[6:7] not in (b"\x01", b"\x02"):
-        raise CodecError("it holds an array that is no NumPy file")
+        raise CodecError("it holds an array that is not a NumPy file")
     wide = 2 if data[6] == 1 else 4
     length = int.from_bytes(data[8 : 8 + wide], "little")
     start = 8 + wide

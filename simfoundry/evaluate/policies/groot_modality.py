@@ -1,4 +1,4 @@
-"""The modality configuration of a GR00T server: the keys it takes and gives."""
+"""The modality configuration of a GR00T server: the keys of its inputs and outputs."""
 
 from __future__ import annotations
 
@@ -11,37 +11,38 @@ from simfoundry.evaluate.policies.base import PolicyError
 from simfoundry.geometry.frames import Array, Pose
 
 MANY = 64
-"""More keys or steps than any policy has."""
+"""Upper limit of keys and steps, above those of any known policy."""
 
 DROID_HAND = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""The rotation of DROID's hand as GR00T counts it, in the hand's own frame."""
+"""Rotation of DROID's hand in GR00T's convention, relative to the hand's own frame."""
 
 
 @dataclass(frozen=True)
 class Modality:
-    """The ``keys`` of one modality, and at which ``steps`` it is wanted, 0 now and negative before."""
+    """The ``keys`` of one modality and its time ``steps``, 0 for the present and negative for earlier ones."""
 
     keys: tuple[str, ...]
     steps: tuple[int, ...]
 
 
 def modality(found: Any, name: str) -> Modality:
-    """One modality of an answer to ``get_modality_config``; raises :class:`PolicyError`."""
+    """Parse one modality of an answer to ``get_modality_config``; raises :class:`PolicyError`."""
     described = found.get(name) if isinstance(found, dict) else None
     if not isinstance(described, dict):
         raise PolicyError(f"the server does not describe its `{name}`")
     keys, steps = described.get("modality_keys"), described.get("delta_indices")
     if not isinstance(keys, list) or not 0 < len(keys) <= MANY or not all(isinstance(k, str) for k in keys):
-        raise PolicyError(f"`modality_keys` of the server's `{name}` is no list of names")
+        raise PolicyError(f"`modality_keys` of the server's `{name}` is not a list of names")
     if not isinstance(steps, list) or not 0 < len(steps) <= MANY or not all(type(s) is int for s in steps):
-        raise PolicyError(f"`delta_indices` of the server's `{name}` is no list of steps")
+        raise PolicyError(f"`delta_indices` of the server's `{name}` is not a list of steps")
     return Modality(tuple(keys), tuple(steps))
 
 
 def eef_9d(X_BH: Pose) -> Array:
-    """The hand in the base as GR00T was trained on DROID: position [m], then the first two rows of its rotation.
+    """Hand pose in the base frame as in GR00T's training on DROID: position [m], then the first two rows of the
+    rotation.
 
-    The rotation is that of the hand times the fixed one of DROID; shape (9,).
+    The rotation is the hand's times a fixed one of DROID; shape (9,).
     """
     rotation = X_BH.rotation @ DROID_HAND
     return np.concatenate([X_BH.p, rotation[0], rotation[1]])

@@ -1,9 +1,9 @@
-"""Checkpoints of LeRobot behind openpi's protocol: ``python -m simfoundry.evaluate.policies.lerobot CHECKPOINT``.
+"""Serve LeRobot checkpoints over openpi's protocol: ``python -m simfoundry.evaluate.policies.lerobot CHECKPOINT``.
 
-Runs in an environment with LeRobot and its PyTorch, which SimFoundry itself needs not; a policy document with
-``protocol: openpi`` reaches it from any other. The keys of the messages are the checkpoint's own features
-(``observation.state``, ``observation.images.front``), the instruction is ``prompt``. LeRobot's own remote protocol
-unpickles what it is sent, so nothing here speaks it.
+Runs in an environment with LeRobot and its PyTorch, which SimFoundry itself does not need; a policy document with
+``protocol: openpi`` connects to it from any other. The keys of the messages are the checkpoint's own features
+(``observation.state``, ``observation.images.front``); the instruction is ``prompt``. LeRobot's own remote protocol
+unpickles received data and is therefore not used.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} le
 
 
 def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:
-    """Load a checkpoint, a folder or a name on the Hub: the function that answers, and the features it takes and gives.
+    """Load a checkpoint from a folder or the Hub; return the inference function and its input and output features.
 
-    Raises :class:`PolicyError` where LeRobot is absent or the checkpoint is none. Not seeded: a policy that draws
-    random numbers answers each question with new ones.
+    Raises :class:`PolicyError` if LeRobot is missing or the checkpoint is invalid. Inference is not seeded: a
+    stochastic policy draws new random numbers for each query.
     """
     torch = needed("torch", "a LeRobot checkpoint", INSTALL)
     factory = needed("lerobot.policies.factory", "a LeRobot checkpoint", INSTALL)
@@ -38,11 +38,11 @@ def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, 
         policy = factory.get_policy_class(config.type).from_pretrained(checkpoint, config=config).to(config.device)
         places = {"device_processor": {"device": config.device}}
         before, after = factory.make_pre_post_processors(config, checkpoint, preprocessor_overrides=places)
-    except Exception as error:  # LeRobot raises of many kinds for what is no checkpoint
+    except Exception as error:  # LeRobot raises many kinds of exceptions for invalid checkpoints
         reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
-        raise PolicyError(f"{checkpoint} is no checkpoint that this LeRobot can load: {reason}") from None
+        raise PolicyError(f"{checkpoint} is not a checkpoint that the installed LeRobot can load: {reason}") from None
     if getattr(config, "n_obs_steps", 1) > 1:
-        message = f"{checkpoint} looks at {config.n_obs_steps} steps at once, and a question shows one"
+        message = f"{checkpoint} needs {config.n_obs_steps} observation steps, but a query provides one"
         raise PolicyError(f"{message}; policies with `n_obs_steps: 1` can be served (act, pi0, pi05, smolvla)")
     policy.eval()
     takes = {name: list(feature.shape) for name, feature in config.input_features.items()}
@@ -60,18 +60,19 @@ def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, 
 
 
 def feature(question: Mapping[str, Any], name: str, shape: list[int]) -> np.ndarray[Any, Any]:
-    """One feature of a question as LeRobot takes it; raises :class:`ValueError` naming what is missing or amiss.
+    """Convert one feature of a query to LeRobot's format; raises :class:`ValueError` naming the missing or invalid
+    feature.
 
-    A picture (h, w, 3) of bytes becomes (3, h, w) of floats from 0 to 1.
+    An image (h, w, 3) of bytes becomes (3, h, w) of floats from 0 to 1.
     """
     value = question.get(name)
     if not isinstance(value, np.ndarray):
         there = ", ".join(key for key in question if isinstance(key, str))
-        raise ValueError(f"the checkpoint takes `{name}`, and the question has {there}")
+        raise ValueError(f"the checkpoint needs `{name}`, but the query has {there}")
     if value.dtype == np.uint8 and value.ndim == 3 and len(shape) == 3:
         value = np.moveaxis(value, -1, 0).astype(np.float32) / 255
     if list(value.shape) != shape:
-        raise ValueError(f"the checkpoint takes `{name}` of the shape {shape}, not {list(value.shape)}")
+        raise ValueError(f"the checkpoint needs `{name}` of shape {shape}, not {list(value.shape)}")
     return np.ascontiguousarray(value, dtype=np.float32)
 
 
@@ -79,9 +80,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Serve a checkpoint until stopped."""
     parser = argparse.ArgumentParser(prog="python -m simfoundry.evaluate.policies.lerobot", description=__doc__)
     parser.add_argument("checkpoint", help="a folder with config.json and weights, or a name on the Hub")
-    parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 for every network of this machine")
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="network address to bind; 0.0.0.0 accepts connections from every network"
+    )
     parser.add_argument("--port", type=int, default=8000)
-    parser.add_argument("--device", help="cuda, cpu; default: the best there is")
+    parser.add_argument("--device", help="cuda or cpu; default: the best available")
     chosen = parser.parse_args(arguments)
     try:
         infer, metadata = load_checkpoint(chosen.checkpoint, chosen.device)

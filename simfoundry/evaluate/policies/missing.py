@@ -1,4 +1,4 @@
-"""Packages that only remote policies need."""
+"""Imports of packages that only remote policies need."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simfoundry.runtime.extras import install_line
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
-    """A module that may be absent; raises :class:`PolicyError` with what to do."""
+    """Import an optional module; raises :class:`PolicyError` with the install command if it is missing."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

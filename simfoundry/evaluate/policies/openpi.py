@@ -1,4 +1,4 @@
-"""Policies of openpi, and whatever else speaks its protocol (``openpi_client.websocket_client_policy``, 0.1.2)."""
+"""Policies of openpi, and of any server with its protocol (``openpi_client.websocket_client_policy``, 0.1.2)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
-"""State keys of the policies of DROID."""
+"""State keys of DROID's policies."""
 
 
 class OpenpiPolicy(RemotePolicy):
-    """A policy behind ``WebsocketPolicyServer`` of openpi.
+    """A client of openpi's ``WebsocketPolicyServer``.
 
-    Each question stands alone, so a lost connection is made anew and the question is put again.
+    Queries are independent, so after a lost connection the client reconnects and repeats the query.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -25,11 +25,11 @@ class OpenpiPolicy(RemotePolicy):
         self._connection = Connection(spec, self.record)
 
     def begin(self) -> None:
-        """Connect; the protocol knows no beginning of a rollout."""
+        """Connect; the protocol has no message for the start of a rollout."""
         self._connection.begin()
 
     def ask(self, observation: Observation) -> object:
-        """The ``actions`` of the answer."""
+        """Return the ``actions`` of the answer."""
         seen = pictures(self.spec, observation)
         told = state(self.spec, DROID_STATE, observation)
         answer = self._connection.ask({**seen, **told, "prompt": self._instruction})

@@ -1,4 +1,4 @@
-"""A policy of one's own that runs in this process: a Python class, named by its module or its file."""
+"""User-defined policies in this process: a Python class, selected by its module or file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simfoundry.geometry.frames import Array
 
 @dataclass(frozen=True)
 class PythonClass:
-    """A class to make a policy of: ``module`` is a dotted name or a path to a ``.py`` file.
+    """A policy class: ``module`` is a dotted name or a path to a ``.py`` file.
 
     ``arguments`` are those of its constructor, by name.
     """
@@ -32,12 +32,12 @@ class PythonClass:
 
     @property
     def digest(self) -> str:
-        """Names the class by its source file and its arguments; what else it reads is not known."""
+        """Return a digest of the class's source file and arguments; other files that it reads are not included."""
         source = _source(self.module)
         return hashlib.sha256(repr(self).encode() + (source.read_bytes() if source else b"")).hexdigest()[:16]
 
     def find(self) -> Callable[..., Any]:
-        """The class, or what else makes a policy when it is called; raises :class:`PolicyError`."""
+        """Import the class, or another callable that creates a policy; raises :class:`PolicyError`."""
         module = _module(self.module)
         made = getattr(module, self.name, None)
         if made is None:
@@ -45,15 +45,15 @@ class PythonClass:
             raise PolicyError(f"{self.module} has no `{self.name}`; its classes are: {', '.join(here) or 'none'}")
         if not callable(made):
             raise PolicyError(f"`{self.name}` of {self.module} is a `{type(made).__name__}`, not a class")
-        return made  # type: ignore[no-any-return]  # whatever it is, it can be called
+        return made  # any callable will do
 
 
 class PythonPolicy:
-    """A :class:`~simfoundry.evaluate.policies.base.Policy` around an object of somebody else's class.
+    """A :class:`~simfoundry.evaluate.policies.base.Policy` that wraps an object of a user's class.
 
-    It needs ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction, seed)`` and
-    ``close()`` may be left out. Whatever it raises while it acts is an invalid answer. What it prints goes to standard
-    error, since standard output is that of the command.
+    The object needs ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction, seed)``
+    and ``close()`` are optional. Any exception while it acts is an invalid answer. Its printed output goes to standard
+    error, because standard output is the command's.
     """
 
     def __init__(self, choice: PythonClass) -> None:
@@ -63,7 +63,7 @@ class PythonPolicy:
             with redirect_stdout(sys.stderr):
                 self._policy = made(**dict(choice.arguments))
         except (Exception, SystemExit) as error:
-            raise PolicyError(f"`{choice.name}` of {choice.module} cannot be made: {_told(error)}") from None
+            raise PolicyError(f"`{choice.name}` of {choice.module} cannot be created: {_told(error)}") from None
         self._reset: Callable[[str, int], None] | None = getattr(self._policy, "reset", None)
         self._infer: Callable[[Observation], Array] | None = getattr(self._policy, "infer", None)
         if not callable(self._infer):
@@ -74,7 +74,7 @@ class PythonPolicy:
     def _space(self, space: object) -> ActionSpace:
         if space not in tuple(ActionSpace):
             known = " or ".join(f'"{one}"' for one in ActionSpace)
-            raise PolicyError(f"`{self.name}` has `action_space` {space!r}; what its numbers mean is {known}")
+            raise PolicyError(f"`{self.name}` has `action_space` {space!r}; it must be {known}")
         return ActionSpace(str(space))
 
     def _sizes(self, cameras: object) -> Mapping[str, ImageSize]:
@@ -89,7 +89,7 @@ class PythonPolicy:
         return MappingProxyType(sizes)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin a rollout."""
+        """Start a rollout."""
         if self._reset is not None:
             with self._answering():
                 self._reset(instruction, seed)
@@ -101,7 +101,7 @@ class PythonPolicy:
             return self._infer(observation)
 
     def close(self) -> None:
-        """Let it close; at the end nothing that it raises matters to anybody any more."""
+        """Close the object; its exceptions are only printed, because the results are already complete."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             try:
@@ -115,7 +115,7 @@ class PythonPolicy:
         try:
             with redirect_stdout(sys.stderr):
                 yield
-        except PolicyError:  # it says itself what happened, as a client of a server does
+        except PolicyError:  # raised on purpose with its own message, for example by a client of a server
             raise
         except (Exception, SystemExit) as error:
             raise InvalidAnswerError(f"{self.name} failed: {_told(error)}") from None
@@ -132,7 +132,7 @@ def _module(module: str) -> ModuleType:
         with redirect_stdout(sys.stderr):
             if not _is_file(module):
                 return importlib.import_module(module)
-            # A name of its own: a file called `torch.py` must not take the place of the package that it imports.
+            # A unique name: a file named `torch.py` must not replace the package that it imports.
             name = f"policy_{hashlib.sha256(str(source).encode()).hexdigest()[:8]}_{source.stem}"
             spec = importlib.util.spec_from_file_location(name, source)
             assert spec is not None and spec.loader is not None
@@ -144,9 +144,9 @@ def _module(module: str) -> ModuleType:
 
 
 def _source(module: str) -> Path | None:
-    """The file of a module, None where there is none; from then on it can import what lies beside it.
+    """Return the file of a module, or None; its folder is added to the import path.
 
-    Folders are searched after what is installed, so that a file here never stands in the place of a package.
+    Installed packages take precedence, so that a local file never shadows a package.
     """
     if _is_file(module):
         file = Path(module).resolve()
@@ -170,7 +170,7 @@ def _searched(folder: Path) -> None:
 
 
 def _told(error: BaseException) -> str:
-    """An exception of somebody else's code as one line, with the place that raised it."""
+    """Format an exception of user code as one line, with its source location."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     words = " ".join(str(error).split())[:300]

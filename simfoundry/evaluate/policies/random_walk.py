@@ -1,4 +1,4 @@
-"""A policy that moves at random: what any other must beat."""
+"""A policy that moves at random, as a baseline."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observatio
 from simfoundry.geometry.frames import Array
 
 STEP = 0.1
-"""Largest move of a joint in one step, either way [rad or m]: 1.5 rad/s at 15 Hz."""
+"""Maximum joint motion per step in either direction [rad or m]: 1.5 rad/s at 15 Hz."""
 HORIZON = 8
-"""Steps until it is asked again, as the policies of the paper."""
+"""Number of actions per query, as for the paper's policies."""
 
 
 class RandomPolicy:
-    """Joints walk at random from where they are, each step up to ``STEP``; the gripper opens or closes now and then."""
+    """A random walk of the joints from their present positions, with steps up to ``STEP``; the gripper toggles
+    occasionally.
+    """
 
     name = "random"
     action_space = ActionSpace.JOINT_POSITION
@@ -27,11 +29,11 @@ class RandomPolicy:
         self._rng = np.random.default_rng(0)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin a rollout: the same seed, the same walk."""
+        """Start a rollout; equal seeds give equal walks."""
         self._rng = np.random.default_rng(seed)
 
     def infer(self, observation: Observation) -> Array:
-        """Joint positions, shape (HORIZON, numbers of an action)."""
+        """Return joint positions, shape (HORIZON, numbers of an action)."""
         columns: list[Array] = []
         for robot in observation.robots.values():
             steps = self._rng.uniform(-STEP, STEP, (HORIZON, len(robot.joints)))
@@ -40,4 +42,4 @@ class RandomPolicy:
         return np.concatenate(columns, axis=1) if columns else np.zeros((HORIZON, 0))
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources to release."""

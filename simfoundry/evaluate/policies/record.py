@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 KEPT = 100
-"""Largest number of errors that are kept in words; of more, only the number: a report lists no hundred pages."""
+"""Maximum number of error messages kept; further ones are only counted, to keep reports short."""
 
 
 @dataclass
 class PolicyRecord:
-    """Counts, times and errors of the questions to a policy; they grow from rollout to rollout.
+    """Counts, times and errors of the queries to a policy, accumulated over rollouts.
 
-    ``seconds`` are the times [s] from each question to its answer, reconnections and repeated questions included.
+    ``seconds`` are the times [s] from each query to its answer, including reconnections and repeated queries.
     """
 
     questions: int = 0
@@ -25,13 +25,13 @@ class PolicyRecord:
     seconds: list[float] = field(default_factory=list)
 
     def failed(self, sentence: str) -> None:
-        """Note an error."""
+        """Record an error."""
         self.failures += 1
         if len(self.errors) < KEPT:
             self.errors.append(sentence)
 
     def to_json(self) -> Mapping[str, Any]:
-        """Numbers and sentences for a report; the times as median and longest [s]."""
+        """Return numbers and messages for a report; times as median and maximum [s]."""
         ordered = sorted(self.seconds)
         return {
             "questions": self.questions,

@@ -1,4 +1,4 @@
-"""The base of policies behind servers: name, cameras, checks of answers."""
+"""Base class of policies behind servers: name, cameras, and validation of answers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from simfoundry.spec.models.policy import PolicySpec
 
 
 class RemotePolicy:
-    """A policy behind a server, by its document; ``record`` says what passed between them.
+    """A policy behind a server, configured by its document; ``record`` has the statistics of their exchange.
 
-    A subclass says how it asks: ``begin`` before a rollout, ``ask`` for an answer, ``close``.
+    Subclasses implement the protocol: ``begin`` before a rollout, ``ask`` for an answer, and ``close``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -25,29 +25,29 @@ class RemotePolicy:
 
     @property
     def name(self) -> str:
-        """The name in its document."""
+        """Name in its document."""
         return self.spec.name
 
     @property
     def action_space(self) -> ActionSpace:
-        """The action space of its document."""
+        """Action space in its document."""
         return ActionSpace(self.spec.action_space)
 
     @property
     def cameras(self) -> Mapping[str, ImageSize]:
-        """The cameras of the scene that its document names."""
+        """Cameras of the scene that its document names."""
         return cameras_of(self.spec)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin a rollout: connect where nothing is connected. What is random in the policy is the server's own."""
+        """Start a rollout, connecting if necessary. Randomness in the policy is up to the server."""
         self._instruction = instruction
         try:
             self.begin()
-        except InvalidAnswerError as error:  # it was asked for no action yet, so no rollout has failed by its answer
+        except InvalidAnswerError as error:  # no action was requested yet, so the rollout has not failed by an answer
             raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:
-        """The actions that its document says are carried out, shape (horizon, numbers of an action)."""
+        """Return the number of actions stated by its document, shape (horizon, numbers of an action)."""
         answer = self.ask(observation)
         try:
             return actions_of(self.spec, answer, observation.robots)
@@ -56,7 +56,7 @@ class RemotePolicy:
             raise
 
     def begin(self) -> None:
-        """Begin a rollout."""
+        """Start a rollout."""
         raise NotImplementedError
 
     def ask(self, observation: Observation) -> object:

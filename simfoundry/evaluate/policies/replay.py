@@ -1,4 +1,4 @@
-"""A policy that repeats the actions of a rollout that was recorded."""
+"""A policy that replays the actions of a recorded rollout."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAns
 from simfoundry.geometry.frames import Array
 
 LARGEST = 256 * 2**20
-"""Bytes of the largest recording that is read."""
+"""Maximum size of a recording [bytes]."""
 
 
 class ReplayPolicy:
-    """Recorded actions, one after another; at their end the last one is held. Every rollout begins with the first."""
+    """Recorded actions in order, after which the last one is held. Every rollout starts with the first."""
 
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
@@ -29,41 +29,41 @@ class ReplayPolicy:
         self._actions, self._played = actions, False
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Begin with the first action."""
+        """Start over with the first action."""
         self._played = False
 
     def infer(self, observation: Observation) -> Array:
-        """All actions at once, then the last again, shape (steps, numbers of an action)."""
+        """Return all actions at once, then the last one repeatedly, shape (steps, numbers of an action)."""
         width = sum(len(robot.joints) + 1 for robot in observation.robots.values())
         if self._actions.shape[1] != width:
             recorded = self._actions.shape[1]
-            raise InvalidAnswerError(f"{self.name} has {recorded} numbers for each action, and the robots take {width}")
+            raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots take {width}")
         chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
         if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
             at = 0
-            for robot in observation.robots.values():  # nothing moves on; the grippers stay as they were
+            for robot in observation.robots.values():  # stop all motion; the grippers keep their position
                 chunk[:, at : at + len(robot.joints)] = 0.0
                 at += len(robot.joints) + 1
         self._played = True
         return chunk
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources to release."""
 
 
 def load_replay(path: Path) -> ReplayPolicy:
-    """The policy of a recording; raises :class:`PolicyError`.
+    """Load the policy of a recording; raises :class:`PolicyError`.
 
-    ``.npy`` holds the actions alone, shape (steps, numbers of an action); ``.npz`` has them as ``actions`` and
-    ``.json`` as ``actions`` too, where ``action_space`` may say what they mean: joint positions, if nothing does.
+    ``.npy`` holds the actions alone, shape (steps, numbers of an action); ``.npz`` and ``.json`` have them as
+    ``actions``, with an optional ``action_space``; the default is joint positions.
     """
     try:
         if path.stat().st_size > LARGEST:
-            raise PolicyError(f"{path} is larger than {LARGEST // 2**20} MiB, which no recorded actions are")
+            raise PolicyError(f"{path} is larger than {LARGEST // 2**20} MiB, the limit for recorded actions")
         actions, space = _read(path)
     except (OSError, ValueError, KeyError, EOFError, RecursionError, MemoryError, zipfile.BadZipFile) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise PolicyError(f"{path} holds no recorded actions: {why}") from None
+        raise PolicyError(f"{path} does not hold recorded actions: {why}") from None
     if actions.ndim != 2 or not actions.size:
         raise PolicyError(f"{path} holds an array of shape {actions.shape}, not actions of (steps, numbers)")
     if not np.isfinite(actions).all():
@@ -74,7 +74,7 @@ def load_replay(path: Path) -> ReplayPolicy:
 
 
 def _read(path: Path) -> tuple[Array, str]:
-    """Actions and what they mean; raises in as many ways as there are of being no recording."""
+    """Read actions and their action space; raises various exceptions if the file is not a recording."""
     default = str(ActionSpace.JOINT_POSITION)
     match path.suffix.lower():
         case ".npy":
@@ -89,17 +89,17 @@ def _read(path: Path) -> tuple[Array, str]:
             actions = found["actions"] if isinstance(found, dict) else found
             space = found.get("action_space", default) if isinstance(found, dict) else default
             return _numbers(np.array(actions)), str(space)
-    raise ValueError("a recording ends with .npy, .npz or .json")
+    raise ValueError("the name of a recording must end with .npy, .npz or .json")
 
 
 def _mapped(path: Path) -> np.ndarray[Any, Any]:
-    """The array of a file without setting aside what its header claims: mapped, it must be as long as it says."""
+    """Memory-map the array of a file, which verifies the size in its header without allocating it."""
     stored: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r")
     return stored
 
 
 def _expansion(path: Path) -> None:
-    """Raise where a compressed file would unpack to more than recordings have."""
+    """Raise an error if a compressed file would unpack to more than the size limit."""
     with zipfile.ZipFile(path) as files:
         total = math.fsum(file.file_size for file in files.infolist())
     if total > LARGEST:

@@ -1,7 +1,7 @@
-"""Policies of RoboArena and DreamZero: openpi's messages with an ``endpoint`` and a memory of the rollout.
+"""Clients of RoboArena and DreamZero: openpi's messages with an ``endpoint`` and a server-side rollout state.
 
-The server begins with what it wants (``PolicyServerConfig`` of ``roboarena/policy_server.py``), which is held against
-the document of the policy. Beware of the cameras: here they count from 0, in openpi from 1.
+The server first sends its configuration (``PolicyServerConfig`` of ``roboarena/policy_server.py``), which is checked
+against the policy's document. Note that cameras are numbered from 0 here, but from 1 in openpi.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 RESET_DONE = "reset successful"
-"""The text with which a server confirms that it has forgotten the rollout before."""
+"""Text by which a server confirms that it has reset its rollout state."""
 ROBOARENA_STATE = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
-"""State keys of the policies of RoboArena."""
+"""State keys of RoboArena's policies."""
 
 
 def _session() -> str:
@@ -29,10 +29,10 @@ def _session() -> str:
 
 
 class RoboarenaPolicy(RemotePolicy):
-    """A policy behind ``WebsocketPolicyServer`` of RoboArena, as DreamZero.
+    """A client of RoboArena's ``WebsocketPolicyServer``, also used by DreamZero.
 
-    The server remembers what it has seen of a rollout, so one whose connection is lost has failed; the next connects
-    anew. ``new_session`` names each rollout: the server begins afresh with each name.
+    The server keeps a state during a rollout, so a rollout fails if its connection is lost; the next one connects
+    again. ``new_session`` creates a name for each rollout: the server resets its state for each new name.
     """
 
     def __init__(self, spec: PolicySpec, new_session: Callable[[], str] = _session) -> None:
@@ -41,7 +41,7 @@ class RoboarenaPolicy(RemotePolicy):
         self._new_session, self._session = new_session, ""
 
     def begin(self) -> None:
-        """Connect, hold the server's wishes against the document, and let it forget the rollout before."""
+        """Connect, check the server's configuration against the document, and reset the server's rollout state."""
         self._connection.begin()
         wrong = next(disagreements(self.spec, self._connection.greeting), None)
         if wrong is not None:
@@ -52,7 +52,7 @@ class RoboarenaPolicy(RemotePolicy):
         self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
 
     def ask(self, observation: Observation) -> object:
-        """The answer itself, or its ``actions``: servers do either."""
+        """Return the answer, or its ``actions`` entry: servers use either form."""
         seen = pictures(self.spec, observation)
         told = state(self.spec, ROBOARENA_STATE, observation)
         about = {"prompt": self._instruction, "session_id": self._session, "endpoint": "infer"}
@@ -65,18 +65,18 @@ class RoboarenaPolicy(RemotePolicy):
 
 
 def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
-    """Differences between the server's configuration and the document, a sentence each."""
+    """Yield a sentence for each difference between the server's configuration and the document."""
     space = wishes.get("action_space")
     if isinstance(space, str) and space != spec.action_space:
-        yield f"it acts by `{space[:40]}`, the document says `action_space: {spec.action_space}`"
+        yield f"it acts by `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
     for key in _wanted_cameras(wishes):
         if key not in spec.cameras:
-            yield f"it wants the picture `{key}`, which `cameras` does not have"
+            yield f"it needs the image `{key}`, which is missing in `cameras`"
     wanted = wishes.get("image_resolution")
     if isinstance(wanted, list | tuple) and len(wanted) == 2:
         for key, view in spec.cameras.items():
             if list(view.size) != [wanted[1], wanted[0]]:
-                yield f"it wants pictures of {wanted[1]} × {wanted[0]}, `{key}` has `size: {list(view.size)}`"
+                yield f"it needs images of {wanted[1]} × {wanted[0]}, but `{key}` has `size: {list(view.size)}`"
 
 
 def _wanted_cameras(wishes: Mapping[str, Any]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""A policy of one's own behind openpi's protocol, so that every policy comes through the same door."""
+"""Serve a user's policy over openpi's protocol, the same interface as that of other policies."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from websockets.sync.server import Server, ServerConnection
 
 LARGEST = 256 * 2**20
-"""Bytes of the largest question that is taken."""
+"""Maximum size of a query [bytes]."""
 
 Infer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""An observation to an answer with ``actions``, shape (steps, numbers of an action)."""
+"""Function from an observation to an answer with ``actions``, shape (steps, numbers of an action)."""
 
 
 def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """A server that answers once ``serve_forever`` of it is called; port 0 takes a free one (``server.socket``).
+    """Create a server that runs once its ``serve_forever`` is called; port 0 selects a free one (``server.socket``).
 
-    It begins with ``metadata``. Where ``infer`` raises, the client gets the traceback as a text and the server hangs
-    up, as openpi's does; the next connection finds it whole. One question is answered at a time. ``GET /healthz`` is
-    answered with OK.
+    The server sends ``metadata`` first. If ``infer`` raises, the client gets the traceback as text and the connection
+    is closed, as by openpi's server; the next connection works normally. Queries are answered one at a time. ``GET
+    /healthz`` returns OK.
     """
     server = needed("websockets.sync.server", "serving a policy")
     needed("msgpack", "serving a policy")
@@ -38,12 +38,12 @@ def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", po
         for data in connection:
             try:
                 if isinstance(data, str):
-                    raise ValueError("a question is a binary message, not a text")
+                    raise ValueError("a query must be a binary message, not a text")
                 with one_at_a_time:
                     answer = pack(dict(infer(unpack(data))))
-            except Exception:  # whatever it is, the client is told
+            except Exception:  # report any error to the client
                 connection.send(traceback.format_exc())
-                connection.close(1011, "the traceback is in the message before")
+                connection.close(1011, "the traceback is in the previous message")
                 return
             connection.send(answer)
 

@@ -1,7 +1,8 @@
-"""A connection to a policy server over a websocket, as openpi and RoboArena speak it.
+"""A connection to a policy server over a websocket, with the protocol of openpi and RoboArena.
 
-One binary message each way, without compression, so that no answer unpacks to more than it is; the server speaks first.
-A text is an error: the server's traceback, after which it hangs up (``websocket_policy_server.py`` of both).
+One binary message in each direction, without compression, so that no answer unpacks to more than its size; the server
+sends the first message. A text message is an error: the server's traceback, after which it closes the connection
+(``websocket_policy_server.py`` of both).
 """
 
 from __future__ import annotations
@@ -23,19 +24,21 @@ if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 LARGEST = 16 * 2**20
-"""Bytes of the largest answer that is taken; a chunk of actions has some thousand."""
+"""Maximum size of an answer [bytes]; a chunk of actions has a few thousand."""
 PING_S, PONG_S = 60.0, 600.0
-"""A server that compiles its model answers no ping for minutes; what websockets would do by itself is hang up."""
+"""Interval and timeout of keep-alive pings [s]: a server that compiles its model answers none for minutes, and the
+default timeout of websockets would close the connection.
+"""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Between two attempts to connect [s]: the first, and what doubling it ends at."""
+"""Initial and maximum delay between two attempts to connect [s]; the delay doubles each time."""
 
 
 class LostError(Exception):
-    """The connection is gone; another may do."""
+    """Loss of the connection; a new connection may succeed."""
 
 
 class Connection:
-    """A connection that is made when it is needed, and again, at most ``spec.retries`` times in a rollout."""
+    """A connection that is opened on demand, and reopened at most ``spec.retries`` times per rollout."""
 
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
         self.spec, self.record = spec, record
@@ -47,15 +50,15 @@ class Connection:
         self._answered = False
 
     def begin(self) -> None:
-        """Begin a rollout: it has all its attempts before it. Connects where nothing is connected."""
+        """Start a rollout with its full number of retries; connect if necessary."""
         self._left = self.spec.retries
         self._again(self._connect)
 
     def ask(self, message: Mapping[str, Any], *, again: bool = True, expect_text: str | None = None) -> Any:
-        """The answer to a message; raises :class:`PolicyError`.
+        """Return the answer to a message; raises :class:`PolicyError`.
 
-        Where the connection is lost, the question is put anew if ``again``; without it, the server's memory of the
-        rollout is gone and the rollout has failed. ``expect_text`` is the one text that is no error.
+        If the connection is lost, the query is repeated if ``again`` is true; otherwise the server's rollout state is
+        lost and the rollout fails. ``expect_text`` is the only text that is not an error.
         """
         data = self._packed(message)
 
@@ -73,11 +76,11 @@ class Connection:
     def close(self) -> None:
         """Hang up."""
         self._socket = None
-        with suppress(Exception):  # the other end may be gone in any way
+        with suppress(Exception):  # the peer may have disconnected in any way
             self._open.close()
 
     def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """An error to raise, noted in the record."""
+        """Return an error to raise, after adding it to the record."""
         self.record.failed(message)
         return kind(message)
 
@@ -86,10 +89,10 @@ class Connection:
         try:
             return pack(message)
         except CodecError as error:
-            raise self.fail(f"{self.spec.name} cannot be asked: {error}") from None
+            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
 
     def _again(self, attempt: Any) -> Any:
-        """Attempts until one does, at most as often as the rollout still may."""
+        """Retry until an attempt succeeds, at most as often as the rollout allows."""
         pause = FIRST_PAUSE_S
         while True:
             try:
@@ -109,7 +112,7 @@ class Connection:
             return attempt()
         except LostError as lost:
             self.close()
-            raise self.fail(f"{lost}, and with it what the server remembers of this rollout") from None
+            raise self.fail(f"{lost}, and with it the server's state of this rollout") from None
 
     def _connect(self) -> None:
         if self._socket is not None:
@@ -125,17 +128,17 @@ class Connection:
                 additional_headers={"Authorization": f"Api-Key {key}"} if key else None,
             ))  # fmt: skip
         except InvalidURI:
-            raise self.fail(f"`{self.uri}` is no address of a websocket") from None
+            raise self.fail(f"`{self.uri}` is not a valid websocket address") from None
         except InvalidHandshake as error:
             raise self._refused(error) from None
-        except (OSError, EOFError) as error:  # a time-out is one too
+        except (OSError, EOFError) as error:  # includes time-outs
             raise LostError(f"no server answers at {self.uri} ({_reason(error)})") from None
         self.record.connections += 1
         self._answered = False
         self._greet()
 
     def _is_here(self) -> bool:
-        """True if the server runs on this machine, to which no proxy leads."""
+        """Return whether the server runs on this machine, which is reached without a proxy."""
         return urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")
 
     def _refused(self, error: Exception) -> PolicyError:
@@ -144,13 +147,13 @@ class Connection:
             named = f"the key in {self.spec.api_key}" if self.spec.api_key else "a policy without `api_key`"
             return self.fail(f"the server at {self.uri} refuses {named} ({status})")
         what = f"it answered {status}" if status else type(error).__name__
-        return self.fail(f"what answers at {self.uri} is no policy server ({what})")
+        return self.fail(f"the server at {self.uri} is not a policy server ({what})")
 
     def _greet(self) -> None:
         greeting = self._received(self.spec.warm_up, None)
         if not isinstance(greeting, dict):
             self.close()
-            raise self.fail(f"the server at {self.uri} begins with a `{type(greeting).__name__}`, not with a mapping")
+            raise self.fail(f"the server at {self.uri} sent a `{type(greeting).__name__}` first, not a mapping")
         self.greeting = greeting
 
     def _ask(self, data: bytes, expect_text: str | None) -> Any:
@@ -168,7 +171,9 @@ class Connection:
         return answer
 
     def _received(self, timeout: float, expect_text: str | None) -> Any:
-        """One message; after anything but a sound one the connection is given up, since answers would not match."""
+        """Receive one message; after an invalid one the connection is closed, because answers would no longer match
+        queries.
+        """
         from websockets.exceptions import ConnectionClosed
 
         assert self._socket is not None
@@ -194,17 +199,17 @@ class Connection:
             raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
 
     def _closed(self, closed: Any) -> Exception:
-        if closed.sent is not None and closed.sent.code == 1009:  # ours: it was larger than we take
+        if closed.sent is not None and closed.sent.code == 1009:  # closed by us: the message exceeded the size limit
             self.close()
             return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB", InvalidAnswerError)
         code = closed.rcvd.code if closed.rcvd is not None else None
-        return LostError(f"the server at {self.uri} hung up" + (f" ({code})" if code else ""))
+        return LostError(f"the server at {self.uri} closed the connection" + (f" ({code})" if code else ""))
 
 
 def last_line(text: str, most: int = 300) -> str:
-    """The end of a traceback as one printable line."""
+    """Return the end of a traceback as one printable line."""
     lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
-    line = lines[-1] if lines else "it does not say why"
+    line = lines[-1] if lines else "it gives no reason"
     return "".join(c if c.isprintable() else "?" for c in line[:most])
 
 

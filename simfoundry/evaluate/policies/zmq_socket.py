@@ -1,4 +1,4 @@
-"""Questions over ZeroMQ, one message each way, as GR00T's server takes them."""
+"""Requests over ZeroMQ, one message in each direction, as used by GR00T's server."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from simfoundry.evaluate.policies.websocket import last_line
 from simfoundry.spec.models.policy import PolicySpec, address_uri
 
 LARGEST = 64 * 2**20
-"""Bytes of the largest answer that is taken; ZeroMQ hangs up on a larger one."""
+"""Maximum size of an answer [bytes]; ZeroMQ disconnects on a larger one."""
 PING_S = 5.0
-"""Longest time [s] that a server may take to answer a ping."""
+"""Timeout for the answer to a ping [s]."""
 
 
 class Requests:
-    """A socket of the kind REQ, which is of no more use once an answer did not come, and is then made anew.
+    """A REQ socket, which is replaced after a missing answer, because it cannot be used any more.
 
-    ZeroMQ connects by itself and does not say whether anybody is there: a short ``ping`` tells before a rollout.
+    ZeroMQ connects in the background and does not report missing servers: a short ``ping`` before a rollout detects
+    them.
     """
 
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
@@ -36,7 +37,7 @@ class Requests:
         self._answered = False
 
     def begin(self) -> None:
-        """Make sure that the server is there; raises :class:`PolicyError` after ``spec.retries`` further attempts."""
+        """Verify that the server is there; raises :class:`PolicyError` after ``spec.retries`` further attempts."""
         fresh = self._socket is None
         for left in range(self.spec.retries, -1, -1):
             if self._ping():
@@ -49,9 +50,9 @@ class Requests:
         raise self.fail(f"no server answers at {self.uri}{tried}")
 
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
-        """The answer of an endpoint; raises :class:`PolicyError`.
+        """Return the answer of an endpoint; raises :class:`PolicyError`.
 
-        A question is not put twice: what the server remembers of the rollout would no longer be what happened.
+        A query is never repeated, because the server's rollout state would then differ from the actual rollout.
         """
         start = time.monotonic()
         self.record.questions += 1
@@ -61,7 +62,7 @@ class Requests:
             self.record.seconds.append(time.monotonic() - start)
 
     def close(self) -> None:
-        """Let go of the socket; what was not sent is dropped."""
+        """Close the socket; unsent messages are dropped."""
         socket, self._socket = self._socket, None
         if socket is not None:
             socket.disable_monitor()
@@ -69,7 +70,7 @@ class Requests:
             socket.close(linger=0)
 
     def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """An error to raise, noted in the record."""
+        """Return an error to raise, after adding it to the record."""
         self.record.failed(message)
         return kind(message)
 
@@ -85,7 +86,7 @@ class Requests:
 
     def _sound(self, data: bytes) -> Any:
         if data == b"ERROR":
-            raise self.fail(f"the server at {self.uri} failed and does not say why", InvalidAnswerError)
+            raise self.fail(f"the server at {self.uri} failed without giving a reason", InvalidAnswerError)
         try:
             answer = unpack(data)
         except CodecError as error:
@@ -107,10 +108,10 @@ class Requests:
         try:
             packed = pack(request)
         except CodecError as error:
-            raise self.fail(f"{self.spec.name} cannot be asked: {error}") from None
+            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
         socket = self._opened(zmq)
         try:
-            while self._monitor.poll(0):  # lost since the last question, and made anew by ZeroMQ itself
+            while self._monitor.poll(0):  # lost since the last query, and reconnected by ZeroMQ itself
                 lost = _event(self._monitor) == zmq.EVENT_DISCONNECTED
                 self.record.reconnects += lost
                 self.record.connections += lost
@@ -129,7 +130,7 @@ class Requests:
         return answer
 
     def _wait(self, zmq: Any, socket: Any, patience: float, is_ping: bool) -> None:
-        """Wait for an answer; raises ``zmq.Again`` without one, :class:`PolicyError` once the server has hung up."""
+        """Wait for an answer; raises ``zmq.Again`` on timeout, :class:`PolicyError` if the server has disconnected."""
         poller = zmq.Poller()
         poller.register(socket, zmq.POLLIN)
         poller.register(self._monitor, zmq.POLLIN)
@@ -141,7 +142,7 @@ class Requests:
             if self._monitor in ready and _event(self._monitor) == zmq.EVENT_DISCONNECTED and not is_ping:
                 self.close()
                 large = f"its answer is larger than {LARGEST // 2**20} MiB"
-                raise self.fail(f"the server at {self.uri} hung up: it is gone, or {large}")
+                raise self.fail(f"the server at {self.uri} closed the connection: it has stopped, or {large}")
         raise zmq.Again
 
     def _silence(self, patience: float) -> str:
@@ -162,5 +163,5 @@ class Requests:
 
 
 def _event(monitor: Any) -> int:
-    """The name of an event, by its number: the first two bytes of a report."""
+    """Return the number of a monitor event: the first two bytes of a report."""
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)

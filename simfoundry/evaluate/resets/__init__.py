@@ -1,1 +1,1 @@
-"""Starts of rollouts: cells of the reset grid, placement, settling, and their cache."""
+"""Starts of rollouts: reset grid, placement, settling, and their cache."""

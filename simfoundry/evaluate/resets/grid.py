@@ -1,4 +1,4 @@
-"""Reset grid: a cell for each object, drawn without replacement, and a random position in it."""
+"""Reset grid: a cell for each object, drawn without replacement, and a random position within it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from simfoundry.spec.models.task import Reset, ResetRegion
 
 GridCell = tuple[int, int]
-"""A cell of a grid, counted from 0 along x and along y."""
+"""A cell of a grid, by its indices along x and y from 0."""
 
 
 def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
-    """The cells of each object in a block of starts, one start for each cell of the grid: a permutation of them all.
+    """Deal the cells of each object for a block of starts, one start per cell of the grid: a permutation of all cells.
 
-    What one object gets does not depend on which others there are.
+    The cells of one object do not depend on the other objects.
     """
     along_x, along_y = reset.grid
     cells = [(i, j) for i in range(along_x) for j in range(along_y)]
@@ -24,14 +24,14 @@ def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
 
 
 def draws(name: str, seed: int, start: int) -> np.random.Generator:
-    """The generator of where in its cell an object starts in one start, try after try."""
+    """Return the generator of an object's positions in its cell for one start, used for successive tries."""
     return _generator(seed, name, start, 1)
 
 
 def sample(
     region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """A position x, y [m] in a cell and a turn [deg] in its range, all uniform."""
+    """Sample a position x, y [m] in a cell and a rotation [deg] in its range, all uniform."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
     share = rng.random(3)
     low_yaw, high_yaw = region.yaw_deg
@@ -40,7 +40,7 @@ def sample(
 
 
 def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The lowest and the highest x and y of a cell [m]."""
+    """Ranges of x and y of a cell [m]."""
     spans = []
     for (low, high), count, k in zip((region.x, region.y), grid, cell, strict=True):
         width = (high - low) / count
@@ -49,5 +49,5 @@ def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tu
 
 
 def _generator(seed: int, name: str, *more: int) -> np.random.Generator:
-    # A checksum of the name, because Python's own hash differs from process to process.
+    # A checksum of the name, because Python's own hash differs between processes.
     return np.random.default_rng([seed, zlib.crc32(name.encode()), *more])

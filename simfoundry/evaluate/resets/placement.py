@@ -1,4 +1,4 @@
-"""One try at a start: objects put into their cells, checked for collisions, settled, and checked again."""
+"""One attempt at a start: place objects in their cells, check for collisions, settle, and check again."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
 SETTLING = SettleOptions(max_drift_m=0.01)
-"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, its support stays the same."""
+"""Settling limits of a start: half the displacement allowed for scenes, tilt 5 deg, overlap 1 mm, same support."""
 
 OVERLAP = 1e-3
-"""Largest overlap [m] of an object with its support before it is settled: what settling undoes within a few steps."""
+"""Maximum overlap [m] of an object with its support before settling, which settling removes within a few steps."""
 
 AGREES = 1e-4
-"""Largest distance [m] of a settled object from its cell: rounding, not sliding."""
+"""Maximum distance [m] of a settled object from its cell: rounding, but no sliding."""
 
 DIGITS = 5
-"""Decimals of settled positions [m] and quaternions, so that another version of an engine settles to the same start."""
+"""Decimals of settled positions [m] and quaternions, so that other versions of an engine settle to the same start."""
 
 STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
-"""A start stands still: in so much time nothing moves or turns farther than that. A ball may turn."""
+"""Rest criterion of a start: duration [s], and maximum motion [m] and rotation [deg] in it. A ball may turn."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """The reason why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers.
+    """The reason why an attempt failed: the ``object`` at fault, a ``kind`` for statistics, and ``why`` with numbers.
 
-    ``other`` is the object that it met and that is put somewhere too, empty where there is none: only then can it help
-    to give the two other cells, since each cell must be taken in some start.
+    ``other`` is the object that it collided with if that is placed too, else empty: only then can exchanging their
+    cells help, because each cell must be used in some start.
     """
 
     object: str
@@ -47,13 +47,13 @@ class Refusal:
 
 
 Spots = Mapping[str, tuple[float, float, float]]
-"""Positions of objects: x, y [m] and turn about z [deg] on top of the scene's pose."""
+"""Placement of objects: x, y [m] and rotation about z [deg] relative to the scene's pose."""
 
 
 def placed(task: Task, spots: Spots) -> SceneState:
-    """The state with the objects at their spots, at the height that the scene gives them, and with what they carry.
+    """Return the state with the objects at their spots, at the heights given by the scene, together with their riders.
 
-    An object that stands on or in one of them moves along with it; joints are as the scene has them.
+    An object that stands on or in one of them moves along with it; joints are as in the scene.
     """
     scene = task.scene
     poses = {item.name: item.X_WO for item in scene.objects}
@@ -69,7 +69,7 @@ def placed(task: Task, spots: Spots) -> SceneState:
 
 
 def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
-    """The nearest object below that is put somewhere."""
+    """Return the nearest supporting object that is placed."""
     seen = {name}
     while (name := task.carriers.get(name, "")) and name not in seen:
         if name in spots:
@@ -79,7 +79,7 @@ def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
 
 
 def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal | None:
-    """The deepest overlap of an object that was put somewhere, or of what it carries, with anything but its carrier."""
+    """Return the deepest overlap of a placed object or its riders with anything other than their supports."""
     moved = {n for n in state.poses if n in spots or _moving_carrier(task, n, spots) is not None}
     world.reset(state)
     worst: tuple[float, str, str] | None = None
@@ -93,11 +93,11 @@ def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal 
         return None
     depth, name, other = worst
     blamed, met = (n if n in spots else _moving_carrier(task, n, spots) or "" for n in (name, other))
-    return Refusal(blamed, f"it met `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm", met)
+    return Refusal(blamed, f"it collided with `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm", met)
 
 
 def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal:
-    """The state at rest, rounded; or what went wrong."""
+    """Settle a state; return the rounded state at rest, or the reason for failure."""
     result = settle(world, SETTLING, state=state)
     for report in result.objects:
         problems = [
@@ -109,7 +109,7 @@ def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal
 
 
 def rounded(state: SceneState) -> SceneState:
-    """The state to :data:`DIGITS` decimals."""
+    """Round the state to :data:`DIGITS` decimals."""
     poses = {name: _rounded(pose) for name, pose in state.poses.items()}
     motions = {name: _rounded(pose) for name, pose in state.motions.items()}
     return SceneState.of(poses, {name: round(v, DIGITS) + 0.0 for name, v in state.joints.items()}, motions)
@@ -120,7 +120,7 @@ def _rounded(pose: Pose) -> Pose:
 
 
 def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> Refusal | None:
-    """An object that settled outside its cell."""
+    """Return a refusal if an object settled outside its cell."""
     for name, cell in cells.items():
         spans = bounds(task.reset.objects[name], task.reset.grid, cell)
         for (low, high), value, axis in zip(spans, state.poses[name].p[:2], "xy", strict=True):
@@ -132,11 +132,11 @@ def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> R
 
 
 def restless(task: Task, world: World, state: SceneState) -> Refusal | None:
-    """The object that moves most from a state that should be at rest, if it moves too far."""
+    """Return a refusal for the object that moves most from a state that should be at rest, if it moves too far."""
     motions = simulate(world, STILL_S, state)
     for motion in sorted(motions, key=lambda m: -m.moved):
         turned = 0.0 if is_ball(task.scene.object(motion.name)) else motion.turned_deg
         if not (motion.moved <= STILL_M and turned <= STILL_DEG):
             far = f"{motion.moved * 1000:.1f} mm and {turned:.1f} deg in {STILL_S:g} s"
-            return Refusal(motion.name, "it does not stay", f"`{motion.name}` moves {far}")
+            return Refusal(motion.name, "it does not stay at rest", f"`{motion.name}` moves {far}")
     return None

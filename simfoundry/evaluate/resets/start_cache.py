@@ -1,4 +1,4 @@
-"""Starts on disk, by the content of what they depend on."""
+"""Disk cache of starts, keyed by the content that they depend on."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Condition
 
 VERSION = "starts/1"
-"""Changes where the same task and seed would give other starts."""
+"""Cache version; incremented when the same task and seed would give other starts."""
 
 Known = tuple[dict[str, list[GridCell]], list[SceneState]]
-"""The cells of each object in all starts of a deal, and the states of the first of them."""
+"""The cells of each object in all starts of a deal, and the states of the first starts."""
 
 
 def key_of_starts(task: Task, seed: int) -> str:
-    """The key of a task's starts: the world that they are settled in, the reset, the goal, and the seed.
+    """Return the cache key of a task's starts: the world that they are settled in, the reset, the goal, and the seed.
 
-    No engine's version is in it: starts stay the same when one is updated.
+    The engine's version is not included: starts stay the same after an update.
     """
     files = compile_mjcf(task.scene).files
     goal: bytes = TypeAdapter(Condition).dump_json(task.goal)
@@ -37,7 +37,7 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
-    """Read the stored part of a deal; None if there is none, or if it is damaged."""
+    """Read the stored part of a deal; None if there is none or if it is damaged."""
     data = cache.get(key_of(key))
     if data is None:
         return None
@@ -50,13 +50,13 @@ def read_block(cache: Cache, key: str) -> Known | None:
 
 
 def write_block(cache: Cache, key: str, cells: Mapping[str, list[GridCell]], states: list[SceneState]) -> None:
-    """Keep a deal and the states found so far."""
+    """Store a deal and the states found so far."""
     entry = {"cells": dict(cells), "states": [state_to_json(state) for state in states]}
     cache.put(key_of(key), json.dumps(entry).encode())
 
 
 def state_to_json(state: SceneState) -> dict[str, Any]:
-    """A state as plain numbers, every digit of them: positions [m], quaternions (wxyz), joints [rad or m]."""
+    """Serialize a state without rounding: positions [m], quaternions (wxyz), joints [rad or m]."""
     return {
         "poses": {name: _numbers(pose) for name, pose in state.poses.items()},
         "joints": dict(state.joints),
@@ -65,7 +65,7 @@ def state_to_json(state: SceneState) -> dict[str, Any]:
 
 
 def state_from_json(data: Mapping[str, Any]) -> SceneState:
-    """The state of :func:`state_to_json`, to the last bit."""
+    """Restore the exact state serialized by :func:`state_to_json`."""
     return SceneState.of(
         {name: _pose(numbers) for name, numbers in data["poses"].items()},
         {name: float(position) for name, position in data["joints"].items()},
@@ -78,5 +78,5 @@ def _numbers(pose: Pose) -> list[float]:
 
 
 def _pose(numbers: list[float]) -> Pose:
-    # Pose.of would normalise again, and change the last bit.
+    # Pose.of would normalize again and change the last bit.
     return Pose(frozen_array(numbers[:3], (3,)), frozen_array(numbers[3:7], (4,)))

@@ -1,8 +1,8 @@
-"""Starts of rollouts: each object in another cell of its grid each time, settled, verified, the same for every policy.
+"""Starts of rollouts: each object in a new cell of its grid each time, settled, verified, and equal for all policies.
 
 The paper's protocol ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid per object, one cell per rollout
-without replacement, and a sampled rotation. A start depends on the task, the seed and its number alone. Where a cell
-cannot be taken beside those of the others, the object takes that of a later start, and gives it its own.
+without replacement, and a sampled rotation. A start depends only on the task, the seed and its index. If a cell cannot
+be used together with those of the other objects, the object exchanges it with that of a later start.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 TRIES, TRIES_ELSEWHERE = 20, 5
-"""Tries to place objects in their cells, and tries for each combination after an exchange of cells."""
+"""Number of attempts to place objects in their cells, and attempts per combination after an exchange of cells."""
 
 HOPELESS = 6
-"""So many tries that fail for another reason than two objects' cells being too close are enough."""
+"""Number of failures, other than two objects' cells being too close, after which the search stops."""
 
 Progress = Callable[[int, int], None]
-"""Hears how many starts are there, and how many there will be."""
+"""Callback that receives the number of starts found and the total number."""
 
 
 @dataclass(frozen=True, eq=False)
 class RolloutStart:
-    """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state``, at rest."""
+    """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state`` at rest."""
 
     index: int
     seed: int
@@ -48,22 +48,22 @@ class RolloutStart:
 
     @property
     def digest(self) -> str:
-        """Sixteen hex digits that name the state."""
+        """Sixteen hex digits that identify the state."""
         text = json.dumps(state_to_json(self.state), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class StartError(SimfoundryError):
-    """No start can be found; the message names the object and its cell, and says why."""
+    """Failure to find a start; the message names the object, its cell and the reason."""
 
 
 def starts(
     task: Task, n: int = 25, seed: int = 0, cache: Cache | None = None, progress: Progress | None = None
 ) -> tuple[RolloutStart, ...]:
-    """The first ``n`` starts of a task. After as many as a grid has cells, all cells are dealt anew.
+    """Return the first ``n`` starts of a task. After one start per cell of the grid, all cells are dealt again.
 
-    ``cache`` keeps them by the content of the scene and the task, so that they are settled once. Raises
-    :class:`StartError` where one cannot be found.
+    ``cache`` stores them by the content of the scene and the task, so that they are settled only once. Raises
+    :class:`StartError` if one cannot be found.
     """
     along_x, along_y = task.reset.grid
     size = along_x * along_y
@@ -86,7 +86,7 @@ def starts(
 
 @dataclass
 class _Block:
-    """The starts of one deal so far, and which cells each object has in all of them."""
+    """The starts of one deal found so far, and the cells of each object in all of its starts."""
 
     first: int
     cells: dict[str, list[GridCell]]
@@ -102,26 +102,26 @@ class _Block:
         return made
 
     def at(self, k: int) -> Mapping[str, GridCell]:
-        """The cells of the k-th start of the deal."""
+        """Cells of the k-th start of the deal."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
 
     @property
     def size(self) -> int:
-        """The number of starts of the deal."""
+        """Number of starts of the deal."""
         return max((len(cells) for cells in self.cells.values()), default=0)
 
     def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
-        """The k-th start of the deal."""
+        """Return the k-th start of the deal."""
         return RolloutStart(self.first + k, seed, self.at(k), state)
 
     def exchange(self, name: str, k: int, other: int) -> None:
-        """Let an object change its cells of two starts."""
+        """Exchange an object's cells of two starts."""
         cells = self.cells[name]
         cells[k], cells[other] = cells[other], cells[k]
 
 
 class _Setting:
-    """A task in a world that is opened when the first start must be found."""
+    """A task with a world that is opened when the first start must be found."""
 
     def __init__(self, task: Task, seed: int) -> None:
         self.task, self.seed = task, seed
@@ -136,7 +136,7 @@ class _Setting:
             self._world.close()
 
     def next(self, block: _Block) -> RolloutStart:
-        """The next start of a deal; its cells may be exchanged with those of later ones."""
+        """Find the next start of a deal; its cells may be exchanged with those of later ones."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
         result = self._attempts(block.at(k), rngs, TRIES)
@@ -154,7 +154,7 @@ class _Setting:
     def _attempts(
         self, cells: Mapping[str, GridCell], rngs: Mapping[str, np.random.Generator], tries: int
     ) -> SceneState | list[Refusal]:
-        """A state with the objects somewhere in their cells, or why there was none in so many tries."""
+        """Return a state with the objects in their cells, or the reasons for failure of all attempts."""
         regions, grid = self.task.reset.objects, self.task.reset.grid
         refusals: list[Refusal] = []
         while len(refusals) < tries and sum(not r.other for r in refusals) < HOPELESS:
@@ -163,7 +163,7 @@ class _Setting:
             if isinstance(result, SceneState):
                 return result
             refusals.append(result)
-            if not spots:  # nothing would change
+            if not spots:  # another attempt would change nothing
                 break
         return refusals
 
@@ -192,22 +192,22 @@ class _Setting:
 
 
 def _commonest(refusals: list[Refusal]) -> Refusal:
-    """The first refusal of the kind that there are most of."""
+    """Return the first refusal of the most frequent kind."""
     kind = Counter((r.object, r.kind) for r in refusals).most_common(1)[0][0]
     return next(r for r in refusals if (r.object, r.kind) == kind)
 
 
 def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, GridCell], refusals: list[Refusal]) -> str:
-    """Explain which object fits in which cell no more, with counts of the most frequent reasons."""
+    """Explain which object no longer fits into which cell, with counts of the most frequent reasons."""
     blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)
     reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
     step = f", step `{task.step}`" if task.step else ""
     if blamed not in cells:
-        return f"task `{task.name}`{step}: start {index} cannot be taken: {reasons}"
+        return f"task `{task.name}`{step}: start {index} cannot be used: {reasons}"
     (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
-    elsewhere = ", nor in one of those left" if refused.other else ""
+    elsewhere = ", nor in any remaining cell" if refused.other else ""
     where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
     return (
         f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}) in "

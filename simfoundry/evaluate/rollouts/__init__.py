@@ -1,1 +1,1 @@
-"""Rollouts: control, observations, progress towards the goal, videos."""
+"""Rollouts: control, observations, progress towards the goal, and videos."""

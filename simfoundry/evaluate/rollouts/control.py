@@ -1,4 +1,4 @@
-"""Actions of a policy as targets of joints, and how many steps of physics there are between two of them."""
+"""Conversion of a policy's actions to joint targets, and the number of physics steps per control step."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from simfoundry.geometry.frames import Array
 from simfoundry.worlds.robot import WorldRobot
 
 FARTHEST = 0.2
-"""Largest distance of a target ahead of its joint when velocities are integrated [rad or m]: DROID's largest step."""
+"""Maximum distance of a target from its joint when velocities are integrated [rad or m]: DROID's largest step."""
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:
-    """Steps of ``timestep`` [s] during control step ``step``, counted from 0.
+    """Number of steps of ``timestep`` [s] in control step ``step``, counted from 0.
 
-    The end of each control step is rounded to a step of physics, not its length, so that rounding never adds up: 15 Hz
-    in steps of 2 ms are 33, 34, 33, ... of them, and 10 s are 150 control steps. At least one.
+    The end of each control step, not its length, is rounded to a physics step, so that rounding errors never add up: 15
+    Hz with steps of 2 ms gives 33, 34, 33, ... steps, and 10 s are 150 control steps. At least 1.
     """
     period = 1.0 / (control_hz * timestep)
     return max(1, round((step + 1) * period) - round(step * period))
 
 
 def action_size(robots: Mapping[str, WorldRobot]) -> int:
-    """The length of an action: for each robot its joints and its gripper."""
+    """Length of an action: for each robot its joints and its gripper."""
     return sum(len(robot.joints) + 1 for robot in robots.values())
 
 
 def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """A policy's answer as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
+    """Validate a policy's answer as actions, shape (horizon, numbers of an action); raises
+    :class:`InvalidAnswerError`.
+    """
     size = action_size(robots)
     try:
         array = _numbers(actions)
@@ -48,7 +50,7 @@ def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
 
 
 def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """One action, shape (numbers of an action,), finite; raises :class:`SimfoundryError` for anything else."""
+    """Validate one finite action, shape (numbers of an action,); raises :class:`SimfoundryError` otherwise."""
     size = action_size(robots)
     try:
         array = _numbers(action)
@@ -58,12 +60,14 @@ def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
         raise SimfoundryError(f"an action must have shape ({size},), for {_words(robots)}; got {array.shape}")
     if not np.isfinite(array).all():
         k = int(np.argmin(np.isfinite(array)))
-        raise SimfoundryError(f"an action must be finite; number {k} of it is {array[k]}, and nothing was moved")
+        raise SimfoundryError(f"an action must be finite; its number {k} is {array[k]}; nothing was moved")
     return array
 
 
 def _numbers(value: object) -> Array:
-    """The value as real numbers; raises TypeError or ValueError for complex ones and texts, which NumPy converts."""
+    """Convert to real numbers; raises TypeError or ValueError for complex numbers and text, which NumPy would
+    convert.
+    """
     array = np.asarray(value)
     if array.dtype.kind not in "fiubO":
         raise TypeError(f"an array of `{array.dtype}`")
@@ -75,11 +79,11 @@ def _words(robots: Mapping[str, WorldRobot]) -> str:
 
 
 class Controller:
-    """Carries actions out: as targets of the arms' joints, and how far the grippers close.
+    """Applies actions as targets of the arms' joints and as gripper closures.
 
-    Positions are targets as they are, cut off at the joints' limits. Velocities [rad/s or m/s] are added up from the
-    targets before, because servos hang a little below their targets: added to where the joints are, the arm would sink.
-    A target stays within :data:`FARTHEST` of its joint, so that nothing winds up while the arm is blocked.
+    Position targets are clamped to the joint limits. Velocities [rad/s or m/s] are integrated from the previous
+    targets, because servos sag slightly below their targets: integrated from the measured positions, the arm would
+    sink. A target stays within :data:`FARTHEST` of its joint, so that it does not wind up while the arm is blocked.
     """
 
     def __init__(self, robots: Mapping[str, WorldRobot], space: ActionSpace, control_hz: float) -> None:

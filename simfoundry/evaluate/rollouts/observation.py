@@ -1,4 +1,4 @@
-"""Observations of a policy: the robots' state, and pictures of the cameras that it asked for."""
+"""Observations of a policy: the robots' state, and images of the requested cameras."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> No
     for name, size in wanted.items():
         if name not in known:
             hint = lost.get(name) or nearest(name, known) or "it has none"
-            raise SimfoundryError(f"{who} asks for camera `{name}`, which scene `{scene.name}` lacks; {hint}")
+            raise SimfoundryError(f"{who} requests camera `{name}`, which scene `{scene.name}` does not have; {hint}")
         if size.width < 1 or size.height < 1:
-            raise SimfoundryError(f"{who} asks for a picture of {size.width} x {size.height} pixels of `{name}`")
+            raise SimfoundryError(f"{who} requests an image of {size.width} x {size.height} pixels from `{name}`")
 
 
 def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotReading]:
-    """The present reading of each robot."""
+    """Read the present state of each robot."""
     found = {}
     for name, robot in robots.items():
         positions = robot.positions()
@@ -40,5 +40,5 @@ def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotR
 
 
 def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]:
-    """Render the cameras, each in its size."""
+    """Render the cameras, each at its size."""
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}

@@ -1,4 +1,4 @@
-"""Progress of a task: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
+"""Task progress: sub-tasks stay done once achieved, and the goal must hold for a while."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.state import SceneState
 
 HOLD = 3
-"""So many control steps in a row (0.2 s at 15 Hz) a goal must be true: what only passes through has not arrived."""
+"""Number of consecutive control steps (0.2 s at 15 Hz) for which a goal must be true, so that passing through it does
+not count.
+"""
 
 
 class Progress:
-    """The progress of a task from state to state.
+    """The progress of a task over successive states.
 
-    A step is done at the first state in which its goal holds, and stays done; where it holds at the start already, as
-    `Closed(drawer)` does before the drawer was opened, it must have been false in between. The whole is done once its
+    A sub-task is done at the first state in which its goal holds, and stays done. If its goal already holds at the
+    start, such as `Closed(drawer)` before the drawer is opened, it must first become false. The task is done once its
     goal has been true :data:`HOLD` times in a row.
     """
 
@@ -27,13 +29,14 @@ class Progress:
         self.done: dict[str, int | None] = dict.fromkeys(task.subtasks)
 
     def see(self, step: int, state: SceneState) -> bool:
-        """Judge the state after control step ``step``, counted from 1; whether the task is done with it."""
+        """Evaluate the state after control step ``step``, counted from 1; return whether the task is now done."""
         return self.see_all(step, [state]) is not None
 
     def see_all(self, step: int, states: Sequence[SceneState]) -> int | None:
-        """Judge states one after another, the first of them after ``step``; which of them ends the task, if one does.
+        """Evaluate consecutive states, the first of them after ``step``; return the index of the one that ends the
+        task, or None.
 
-        All are judged at once, which costs hardly more than one; what comes after the end is not seen.
+        All are evaluated in one batch, which costs hardly more than one; states after the end are ignored.
         """
         batch = StateBatch.of(self._task.scene, states)
         open_ = [name for name, done in self.done.items() if done is None]
@@ -54,5 +57,5 @@ class Progress:
 
     @property
     def subtasks(self) -> Mapping[str, int | None]:
-        """The step at which each sub-task was done, counted from 1; None where it was not."""
+        """Step at which each sub-task was done, counted from 1; None if it was not."""
         return dict(self.done)

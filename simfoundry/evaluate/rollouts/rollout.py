@@ -1,4 +1,4 @@
-"""One rollout: a policy acts in a task from a start until the goal has held, or nothing more can come of it."""
+"""One rollout: a policy acts in a task from a start until the goal has held or can no longer be reached."""
 
 from __future__ import annotations
 
@@ -27,25 +27,27 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
 
 FALLEN = 0.3
-"""Distance [m] below everything that the task began with at which an object has fallen off: below a table's height."""
+"""Distance [m] below the lowest point of the initial scene at which an object has fallen off: below a table's
+height.
+"""
 
 
 class RolloutEnd(StrEnum):
-    """The reason why a rollout ended."""
+    """The reason for the end of a rollout."""
 
     SUCCESS = "success"
     HORIZON = "horizon"
     FELL = "fell"
     DIVERGED = "diverged"
     INVALID = "invalid answer"
-    """The policy answered with an error or with something that is not actions: the rollout has failed."""
+    """The policy answered with an error or with something other than actions: the rollout has failed."""
     NO_ANSWER = "no answer"
-    """The policy could not be asked, or the connection was lost: there is no result, and the rollout is missing."""
+    """The policy could not be queried, or the connection was lost: the rollout has no result and counts as missing."""
 
 
 @dataclass(frozen=True)
 class Timings:
-    """Times of the parts of a rollout [s]."""
+    """Durations of the parts of a rollout [s]."""
 
     total: float
     physics: float
@@ -56,7 +58,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """Pictures to keep of a rollout: of ``cameras``, after the first of every ``every`` control steps."""
+    """Images of a rollout to keep: from ``cameras``, after the first of every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -66,10 +68,10 @@ class Video:
 class Rollout:
     """The result of a rollout.
 
-    ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
-    it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
-    carried out, shape (steps, numbers of an action); ``digest`` names the whole trajectory, to the last bit. ``chunks``
-    is how often the policy was asked; ``final`` the state at the end; ``frames`` are by camera.
+    ``steps`` control steps were executed; ``subtasks`` has the step at which each was done, counted from 1, or None.
+    ``end`` is the reason for the end and ``reason`` the details of a failure. ``actions`` are those executed, shape
+    (steps, numbers of an action); ``digest`` identifies the whole trajectory to the last bit. ``chunks`` is the number
+    of queries to the policy; ``final`` is the last state; ``frames`` are by camera.
     """
 
     task: str
@@ -98,12 +100,12 @@ def rollout(
     judge: Judge | None = None,
     video: Video | None = None,
 ) -> Rollout:
-    """Let a policy act from a start in a world of the task's scene.
+    """Run a policy from a start in a world of the task's scene.
 
-    The actions of an answer are carried out one after another, and then the policy is asked again; pictures are
-    rendered for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A policy that
-    answers with something else than actions has failed, one that does not answer leaves no result. Raises
-    :class:`SimfoundryError` where robots or cameras are missing.
+    The policy is queried again after all actions of an answer were executed; images are rendered only for the policy
+    and for ``video``. A given ``judge`` is reused across rollouts. A policy that answers with something other than
+    actions has failed; one that does not answer leaves no result. Raises :class:`SimfoundryError` if robots or cameras
+    are missing.
     """
     need_robots(task)
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
@@ -114,7 +116,7 @@ def rollout(
 
 
 class _Clock:
-    """Adds up the time of the parts of a rollout."""
+    """Accumulates the durations of the parts of a rollout."""
 
     def __init__(self) -> None:
         self.spent = dict.fromkeys(("physics", "render", "policy", "judge"), 0.0)
@@ -133,7 +135,7 @@ class _Clock:
 
 
 class _Run:
-    """A rollout on its way."""
+    """A rollout in progress."""
 
     def __init__(
         self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video | None
@@ -156,7 +158,7 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Act until the end; returns why it came, and the details of a failure."""
+        """Act until the end; return the reason for it, and the details of a failure."""
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
@@ -171,10 +173,11 @@ class _Run:
         return RolloutEnd.HORIZON, f"not done after {self.task.horizon} control steps"
 
     def _carry_out(self, actions: Array) -> tuple[RolloutEnd, str] | None:
-        """Carry out the actions of one answer, then judge what they did; why one was the last, if one was.
+        """Execute the actions of one answer, then evaluate their states; return the reason if the rollout ends, else
+        None.
 
-        The policy does not see what comes of its actions before the last of them, so that the states can be judged
-        together; what was done after the goal had held is taken back from the record.
+        The policy receives no observation before the last of them, so the states can be evaluated in one batch; actions
+        executed after the goal had held are removed from the record.
         """
         first, states, ended = len(self.actions), list[SceneState](), None
         marks = []
@@ -211,7 +214,7 @@ class _Run:
             return checked(self.policy.infer(observation), self.robots)
 
     def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
-        """Carry out one action; why it was the last, if it was."""
+        """Execute one action; return the reason if the rollout ends."""
         step = len(self.actions)
         self.actions.append(action)
         with self.clock("physics"):
@@ -228,12 +231,12 @@ class _Run:
             if below > 0:
                 return (
                     RolloutEnd.FELL,
-                    f"`{name}` fell to {below + FALLEN:.2f} m below everything that the task began with",
+                    f"`{name}` fell to {below + FALLEN:.2f} m below the lowest point of the initial scene",
                 )
         return None
 
     def _note(self) -> None:
-        """Add the state to the digest of the trajectory, to the last bit."""
+        """Add the exact state to the digest of the trajectory."""
         state = self.state
         numbers = [np.concatenate([pose.p, pose.q]) for pose in (*state.poses.values(), *state.motions.values())]
         robots = [[*robot.positions().values(), robot.gripper()] for robot in self.robots.values()]
@@ -247,7 +250,7 @@ class _Run:
                     self.frames[name].append(picture)
 
     def result(self, end: RolloutEnd, reason: str) -> Rollout:
-        """All that came of it."""
+        """Collect the result of the rollout."""
         actions = np.array(self.actions).reshape(len(self.actions), action_size(self.robots))
         return Rollout(
             task=self.task.name,
@@ -270,11 +273,11 @@ class _Run:
 
 
 def _floor(task: Task) -> float:
-    """The height [m] below which something has fallen off the scene."""
+    """Height [m] below which an object has fallen off the scene."""
     return min((float(world_bounds(o, o.X_WO)[0][2]) for o in task.scene.objects), default=0.0) - FALLEN
 
 
 def _judged(task: Task) -> tuple[str, ...]:
-    """The free objects that the goal speaks of: once one has fallen off the scene, nothing more can come of it."""
+    """Free objects in the goal; once one has fallen off the scene, the goal cannot be reached any more."""
     named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
     return tuple(item.name for item in task.scene.objects if item.name in named and not item.fixed)

@@ -1,4 +1,4 @@
-"""Pictures as a video that browsers play: VP8 in WebM, written by OpenCV, which brings the encoder along."""
+"""Videos for web browsers: VP8 in WebM, written by OpenCV, which includes the encoder."""
 
 from __future__ import annotations
 
@@ -14,29 +14,32 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize
 
 HEIGHT, WIDEST = 240, 640
-"""Pixels of a video's height, and of a camera's width at most: 25 rollouts of a page stay below 10 MB, and pictures
-of no more than 640 pixels are drawn quickly."""
+"""Height of a video, and maximum width per camera [px]: a page with 25 rollouts stays below 10 MB, and images of up to
+640 pixels render quickly.
+"""
 
 
 def whole_picture(width: int, height: int) -> ImageSize:
-    """The size in which a video shows all that a camera of ``width`` x ``height`` pixels sees; even, for VP8."""
+    """Return the size of a video that shows the full view of a ``width`` x ``height`` camera; even, for VP8."""
     scale = min(HEIGHT / height, WIDEST / width)
     return ImageSize(*(max(2, 2 * round(side * scale / 2)) for side in (width, height)))
 
 
 def side_by_side(pictures: Sequence[Image]) -> Image:
-    """The pictures of several cameras in one, black where one is lower than the others."""
+    """Join the images of several cameras side by side, padded with black to equal height."""
     highest = max(len(picture) for picture in pictures)
     even = [np.pad(p, ((0, highest - len(p)), (0, 0), (0, 0))) for p in pictures]
     return np.asarray(np.concatenate(even, axis=1), np.uint8)
 
 
 def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
-    """Write pictures of one size at ``rate`` [1/s] as ``path``, which ends with ``.webm``, in one step."""
+    """Write images of one size as a video at ``rate`` [1/s] to ``path``, which must end with ``.webm``; the write is
+    atomic.
+    """
     import cv2
 
     if not frames:
-        raise ValueError("a video needs pictures")
+        raise ValueError("a video needs at least one image")
     height, width = frames[0].shape[:2]
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".webm", dir=path.parent)
@@ -57,7 +60,7 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the encoder's remarks on standard error, which no setting of OpenCV stops."""
+    """Suppress the encoder's messages on standard error, for which OpenCV has no setting."""
     kept = os.dup(2)
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:

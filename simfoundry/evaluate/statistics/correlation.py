@@ -1,4 +1,6 @@
-"""Real against simulated success rates: Pearson's r and MMRV of each task, with intervals from posterior draws."""
+"""Correlation of real and simulated success rates: Pearson's r and MMRV per task, with intervals from posterior
+draws.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,15 @@ from simfoundry.geometry.frames import Array
 Interval = tuple[float, float]
 
 BLOCK = 1000
-"""Draws at a time: MMRV compares every two policies in each, 80 MB for a hundred policies."""
+"""Number of draws per batch: MMRV compares all pairs of policies in each, 80 MB for a hundred policies."""
 
 
 @dataclass(frozen=True)
 class RateAgreement:
-    """Agreement of simulation with reality on one task, over the policies that have been tried in both.
+    """Agreement between simulation and reality on one task, over the policies evaluated in both.
 
-    ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None where one of the two does
-    not vary. The intervals hold the middle share of what rates and policies drawn anew give, None with one policy.
+    ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None if one of the two is
+    constant. The intervals are central intervals over redrawn rates and policies, None with a single policy.
     """
 
     task: str
@@ -38,7 +40,7 @@ class RateAgreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """Options of the intervals: ``rollouts`` for rates that do not say how many they are of."""
+    """Options of the intervals: ``rollouts`` is the number assumed for rates that do not state it."""
 
     count: int = 2000
     rollouts: int = 25
@@ -47,13 +49,14 @@ class Draws:
 
 
 def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[RateAgreement]:
-    """Agreement on each task that both have, in the order of the real scores; a ScoresError where there is none.
+    """Compute the agreement on each task in both tables, in the order of the real scores; raises ScoresError if there
+    is none.
 
-    Each draw takes every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
-    taken for certain, and the policies by a Bayesian bootstrap (Rubin, 1981): weights from a flat Dirichlet. To draw
-    three to five policies with replacement would mostly leave two, and r at 1 or -1. Of 95 % intervals, of 3 to 8
-    policies with 25 rollouts, 84 to 99 % hold the r of all policies there could be (``tests/corpora/intervals.py``);
-    of a bootstrap over the rollouts alone, 57 to 94 % did.
+    Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
+    treated as certain, and the policies by a Bayesian bootstrap (Rubin, 1981) with weights from a flat Dirichlet.
+    Resampling three to five policies with replacement would mostly leave two, and r at 1 or -1. Of 95 % intervals for 3
+    to 8 policies with 25 rollouts each, 84 to 99 % contain the r of the population of policies
+    (``tests/corpora/intervals.py``); of a bootstrap over the rollouts alone, 57 to 94 % did.
     """
     there = {(s.task, s.policy): s for s in sim}
     tasks: dict[str, list[tuple[Score, Score]]] = {}
@@ -63,7 +66,7 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
             tasks.setdefault(score.task, []).append((score, twin))
     if not tasks:
         raise ScoresError(
-            "no task and policy stand in both tables: "
+            "no pair of task and policy is in both tables: "
             f"the real one has {_some(real)}; the simulated one has {_some(sim)}"
         )
     rng = np.random.default_rng(draws.seed)
@@ -71,25 +74,25 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
 
 
 def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
-    """Pairs of ``task × policy`` that only one of the two has, sorted."""
+    """List the pairs ``task × policy`` that only one of the two tables has, sorted."""
     a, b = ({(s.task, s.policy) for s in scores} for scores in (real, sim))
     return [f"{task} × {policy}" for task, policy in sorted(a ^ b)]
 
 
 def reservations(scores: Sequence[Score]) -> list[str]:
-    """Warnings about rates that lack some of the planned rollouts, a sentence each."""
+    """Return a warning sentence for each rate that lacks some of its planned rollouts."""
     said = []
     for s in scores:
         of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
         if s.missing:
-            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing, the rate is of the others")
+            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing; the rate is that of the others")
         if s.invalid:
             said.append(f"{s.policy} on {s.task}: {s.invalid} rollouts failed by an invalid answer")
     return said
 
 
 def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]:
-    """Mean of r over the tasks that define it, None where none does, and mean MMRV over all."""
+    """Mean of r over the tasks that define it (None if there is none), and mean MMRV over all tasks."""
     defined = [a.pearson for a in found if a.pearson is not None]
     return (fmean(defined) if defined else None), fmean(a.mmrv for a in found)
 
@@ -110,7 +113,7 @@ def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: n
 
 
 def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Pearson's r, NaN where it is undefined, and MMRV of each draw, shape (draws,)."""
+    """Pearson's r (NaN if it is undefined) and MMRV of each draw, shape (draws,)."""
     found: list[tuple[Array, Array]] = []
     for start in range(0, draws.count, BLOCK):
         count = min(BLOCK, draws.count - start)
@@ -122,7 +125,7 @@ def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Genera
 
 
 def _rates(scores: list[Score], draws: Draws, count: int, rng: np.random.Generator) -> Array:
-    """Rates from their posteriors, shape (count, policies)."""
+    """Sample rates from their posteriors, shape (count, policies)."""
     of = np.array([s.rollouts or draws.rollouts for s in scores], dtype=float)
     done = np.array([s.rate for s in scores]) * of
     return rng.beta(done + 0.5, of - done + 0.5, (count, len(scores)))

@@ -1,4 +1,4 @@
-"""The same policy from the same starts in two engines: where a result is the engine's and not the policy's."""
+"""Comparison of a policy from the same starts in two engines, to detect results that depend on the engine."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from simfoundry.evaluate.statistics.records import is_result
 Record = Mapping[str, Any]
 
 APART = 2 / 25
-"""Engines disagree where the successes of one exceed the other's by more than this share of the starts: two of the 25
-rollouts of the paper's protocol, in which contacts that differ by rounding end differently (docs/evaluation.md)."""
+"""Threshold on the difference in successes, as a share of the starts, above which engines disagree: two of the 25
+rollouts of the paper's protocol, in which contacts that differ by rounding end differently (docs/evaluation.md).
+"""
 
 CHANCE = 1
-"""Nor do they over so few starts: one is chance, however few there are."""
+"""Maximum difference in successes that counts as chance, however few starts there are."""
 
 
 @dataclass(frozen=True)
 class EngineComparison:
     """A policy on a task in two engines.
 
-    ``first_only`` and ``second_only`` are the numbers of the starts at which it succeeded in one engine alone, out of
-    ``pairs`` starts that have a result in both; ``first_done`` and ``second_done`` count its successes; ``p`` is that
+    ``first_only`` and ``second_only`` are the indices of the starts at which it succeeded in only one engine, out of
+    ``pairs`` starts with a result in both; ``first_done`` and ``second_done`` count its successes; ``p`` is the p-value
     of the exact McNemar test.
     """
 
@@ -44,35 +45,35 @@ class EngineComparison:
 
     @property
     def disagrees(self) -> bool:
-        """True if the engines differ by more than chance and rounding explain."""
+        """Return whether the engines differ by more than chance and rounding explain."""
         return abs(self.first_done - self.second_done) > max(CHANCE, APART * self.pairs)
 
     @property
     def title(self) -> str:
-        """The task in words."""
+        """Title of the task."""
         return f"{self.task}: {self.step}" if self.step else self.task
 
     @property
     def sentence(self) -> str:
-        """The disagreement in one sentence."""
+        """Description of the disagreement in one sentence."""
         return (
             f"{self.title} with {self.policy}: {self.first} and {self.second} disagree: {self.first_done} and "
             f"{self.second_done} of the same {self.pairs} starts succeed (p = {self.p:.3g}, exact McNemar test), so "
-            f"the rate says more of the engine than of the policy; compare the rollouts {_listed(self.differing)}"
+            f"the rate depends more on the engine than on the policy; compare the rollouts {_listed(self.differing)}"
         )
 
     @property
     def differing(self) -> tuple[int, ...]:
-        """The numbers of the starts that end differently."""
+        """Indices of the starts with different results."""
         return tuple(sorted((*self.first_only, *self.second_only)))
 
     def to_json(self) -> dict[str, Any]:
-        """A row of ``engines``."""
+        """Return a row of ``engines``."""
         return {**vars(self), "p": round(self.p, 6), "disagrees": self.disagrees}
 
 
 def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
-    """Every two engines by task and policy, over the starts at which both have a result; none where there are none."""
+    """Compare all pairs of engines per task and policy, over the starts with a result in both."""
     groups: dict[tuple[str, str, str, str], dict[str, dict[tuple[int, str], Record]]] = {}
     for record in records:
         if is_result(record):

@@ -1,6 +1,6 @@
-"""Agreement of simulation with reality, and confidence intervals of success rates.
+"""Metrics of the agreement between simulation and reality, and confidence intervals of success rates.
 
-Pearson's r and the mean maximum rank violation are those of the SimFoundry paper, appendix *Real-to-Sim Metrics*.
+Pearson's r and the mean maximum rank violation are defined as in the SimFoundry paper, appendix *Real-to-Sim Metrics*.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from simfoundry.geometry.frames import Array
 
 Z_95 = 1.959963984540054
-"""Quantile of the normal distribution that leaves 5 % in both tails together."""
+"""Quantile of the normal distribution that leaves a total of 5 % in both tails."""
 
 
 def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float | None:
-    """Pearson's correlation coefficient of two rows of scores, shape (n,); None where one of them does not vary.
+    """Pearson's correlation coefficient of two rows of scores, shape (n,); None if one of them is constant.
 
-    A row that is constant has no correlation with anything: the coefficient is 0/0, and neither 0 nor 1 would be true.
+    A constant row has no defined correlation: the coefficient is 0/0, and neither 0 nor 1 would be correct.
     """
     x, y = _pair(real, sim)
     if len(x) < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
@@ -32,18 +32,19 @@ def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> floa
 def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
     """Mean maximum rank violation of two rows of scores, shape (n,), in the unit of the real ones.
 
-    For each policy the greatest real difference to one that simulation ranks otherwise; their mean. The comparisons are
-    strict, so a tie in one row and an order in the other is a violation of one of the two policies, as in the paper.
+    For each policy, take the largest real difference to a policy that simulation ranks in the opposite order; return
+    the mean. Comparisons are strict, so a tie in one row and an order in the other violates the rank of one of the two
+    policies, as in the paper.
     """
     x, y = _pair(real, sim)
     if len(x) == 0:
-        raise ValueError("there is no mean over no policies")
+        raise ValueError("at least one policy is needed")
     violated = (y[:, None] < y[None, :]) != (x[:, None] < x[None, :])
     return float(np.max(np.abs(x[:, None] - x[None, :]) * violated, axis=1).mean())
 
 
 def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
-    """Pearson's coefficient of each row of weighted scores, all of shape (rows, n); NaN where one does not vary."""
+    """Pearson's coefficient of each row of weighted scores, all of shape (rows, n); NaN for constant rows."""
     share = weights / weights.sum(axis=1, keepdims=True)
     dx, dy = (v - (share * v).sum(axis=1, keepdims=True) for v in (real, sim))
     square = (share * dx * dx).sum(axis=1) * (share * dy * dy).sum(axis=1)
@@ -59,9 +60,9 @@ def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
 
 
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson's score interval of a success rate, for ``z`` standard deviations; (0, 1) where nothing was tried.
+    """Wilson's score interval of a success rate, for ``z`` standard deviations; (0, 1) without rollouts.
 
-    It stays within [0, 1] and says something sensible of 0 and of 25 successes in 25 rollouts (Wilson, 1927).
+    It stays within [0, 1] and is meaningful even for 0 and for 25 successes in 25 rollouts (Wilson, 1927).
     """
     if not 0 <= successes <= rollouts:
         raise ValueError(f"{successes} successes in {rollouts} rollouts")
@@ -86,7 +87,7 @@ class Rate:
 
     @property
     def share(self) -> float:
-        """The rate in [0, 1]; 0 where nothing was tried."""
+        """Rate in [0, 1]; 0 without rollouts."""
         return self.done / self.of if self.of else 0.0
 
     @property
@@ -100,24 +101,25 @@ class Rate:
 
 
 def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[float, float, float]:
-    """Mean rate of strata, each (successes, rollouts), all of which weigh the same, and the ends of its interval.
+    """Mean rate of equally weighted strata, each (successes, rollouts), and the ends of its interval.
 
     The variance of the mean is that of the strata's rates, sum p(1-p)/n over the square of their number. With one
-    rollout in a stratum its p(1-p) cannot be estimated, so that of the mean rate stands for all: p(1-p) is concave, so
-    the interval is never too narrow by that. It is Wilson's for S^2 / sum(1/n) rollouts, S strata of n each: where all
-    have as many, that of all rollouts together.
+    rollout in a stratum its p(1-p) cannot be estimated, so that of the mean rate is used for all; because p(1-p) is
+    concave, this never makes the interval too narrow. The interval is Wilson's for S^2 / sum(1/n) rollouts, with S
+    strata of n each; with equal n, this is the interval of all rollouts together.
     """
     if not counts or any(n < 1 for _, n in counts):
-        raise ValueError("each stratum needs a rollout")
+        raise ValueError("each stratum needs at least one rollout")
     rate = math.fsum(k / n for k, n in counts) / len(counts)
     effective = len(counts) ** 2 / math.fsum(1 / n for _, n in counts)
     return rate, *_wilson(rate, effective, z)
 
 
 def mcnemar(first_only: int, second_only: int) -> float:
-    """Two-sided p of the exact McNemar test of paired successes (McNemar, 1947; exact: a binomial test of 1/2).
+    """Two-sided p-value of the exact McNemar test of paired successes (McNemar, 1947; exact: a binomial test of 1/2).
 
-    The arguments count the pairs in which only one of the two succeeded; the others say nothing. 1 without any.
+    The arguments count the pairs in which only one of the two succeeded; other pairs carry no information. 1 without
+    any.
     """
     n, least = first_only + second_only, min(first_only, second_only)
     tail: int = sum(math.comb(n, k) for k in range(least + 1))
@@ -125,18 +127,20 @@ def mcnemar(first_only: int, second_only: int) -> float:
 
 
 EXACT_FLIPS = 16
-"""So many differences that are not zero are permuted in all 2^16 ways, in hundredths of a second; more by draws."""
+"""Maximum number of nonzero differences for which all 2^16 sign changes are enumerated, in about 10 ms; beyond it,
+signs are sampled.
+"""
 
 DRAWN_FLIPS = 20_000
-"""Draws of signs: the standard error of p = 0.05 is 0.0015 then."""
+"""Number of sampled sign changes, for which the standard error of p = 0.05 is 0.0015."""
 
 
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
-    """Two-sided p of the paired permutation test that the mean of ``differences``, shape (n,), is zero.
+    """Two-sided p-value of the paired permutation test that the mean of ``differences``, shape (n,), is zero.
 
-    Under the null hypothesis the two of a pair could be exchanged, which changes the sign of their difference (Fisher,
-    1935). All changes of signs are counted up to :data:`EXACT_FLIPS` differences; beyond that they are drawn from
-    ``seed``, the observed one counting as one of them.
+    Under the null hypothesis the two members of a pair are exchangeable, which changes the sign of their difference
+    (Fisher, 1935). All sign changes are enumerated for up to :data:`EXACT_FLIPS` differences; beyond that they are
+    sampled with ``seed``, and the observed one counts as one of them.
     """
     rest = np.asarray([d for d in differences if abs(d) > 1e-12], dtype=float)
     if not len(rest):
@@ -146,14 +150,14 @@ def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
         bits = np.arange(2 ** len(rest))[:, None] >> np.arange(len(rest)) & 1
         return float((np.abs((2 * bits - 1) @ rest) >= observed).mean())
     rng, extreme = np.random.default_rng(seed), 1
-    for _ in range(DRAWN_FLIPS // 100):  # in blocks, since 20,000 draws of 10,000 signs are 1.6 GB
+    for _ in range(DRAWN_FLIPS // 100):  # in blocks, because 20,000 draws of 10,000 signs take 1.6 GB
         signs = rng.integers(0, 2, (100, len(rest)))
         extreme += int((np.abs((2 * signs - 1) @ rest) >= observed).sum())
     return extreme / (1 + DRAWN_FLIPS)
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """The p values corrected for their number (Holm, 1979), in the same order."""
+    """Correct p-values for multiple comparisons (Holm, 1979), in the same order."""
     corrected, most = [0.0] * len(p), 0.0
     for rank, k in enumerate(sorted(range(len(p)), key=lambda k: p[k])):
         most = max(most, min(1.0, (len(p) - rank) * p[k]))
@@ -164,7 +168,7 @@ def holm(p: Sequence[float]) -> list[float]:
 def _pair(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> tuple[Array, Array]:
     x, y = np.asarray(real, dtype=float), np.asarray(sim, dtype=float)
     if x.shape != y.shape or x.ndim != 1:
-        raise ValueError(f"as many scores of one as of the other are needed, not shapes {x.shape} and {y.shape}")
+        raise ValueError(f"both rows must have the same number of scores, but have shapes {x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("scores must be finite")
     return x, y

@@ -1,4 +1,4 @@
-"""Success over many tasks at once, as a folder of cousins: pooled, stratified, and policies paired by their starts."""
+"""Success over many tasks, such as a folder of cousins: pooled and stratified rates, and paired policy comparisons."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """The identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its twin.
+    """Return the identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its
+    twin.
 
-    None for a task that no recipe made. The axes are read from its documents: what they say that the twin's do not.
+    None for a task not made by a recipe. The axes are derived from the fields of its documents that the twin's lack.
     """
     origin = task.setup.task_spec.origin
     if origin is None or origin.cousin is None:
         return None
     scene = task.setup.scene
-    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}  # what it says itself, composed with none
+    # The document's own entries, without those of its bases.
+    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}
     known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
     axes = set()
     for name, fields in own.items():
@@ -35,7 +37,7 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
             axes.add("object")
         else:
             axes.add("scene")
-    if not task.setup.task.bases:  # it does not extend the twin's task: it is one of its own
+    if not task.setup.task.bases:  # it is a new task and does not extend the twin's
         axes.add("task")
     cousin = origin.cousin
     return {"recipe": cousin.recipe, "seed": cousin.seed, "index": cousin.index, "axes": sorted(axes)}
@@ -45,8 +47,8 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
 class RatePool:
     """The results of a policy over several tasks in one engine.
 
-    ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step of that name. ``rate`` counts
-    every rollout the same; stratified, every task weighs the same.
+    ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step by name. ``rate`` weights all
+    rollouts equally; the stratified rate weights all tasks equally.
     """
 
     policy: str
@@ -59,28 +61,28 @@ class RatePool:
 
     @property
     def rate(self) -> Rate:
-        """Successful rollouts of all that have a result."""
+        """Successful rollouts out of all with a result."""
         return Rate(sum(done for done, _ in self.counts), sum(of for _, of in self.counts))
 
     @property
     def title(self) -> str:
-        """The stratum in words."""
+        """Title of the stratum."""
         parts = {"whole": "", "alone": ", single steps", "onward": ", from a step on"}
         return f"{self.stratum}{parts[self.part]}"
 
     @property
     def is_balanced(self) -> bool:
-        """True if all tasks have equally many rollouts, so that the stratified rate is the pooled one."""
+        """Return whether all tasks have equally many rollouts, so that the stratified rate equals the pooled one."""
         return len({of for _, of in self.counts}) == 1
 
     @property
     def stratified_text(self) -> str:
-        """The stratified rate with its interval."""
+        """Stratified rate with its interval, as text."""
         rate, low, high = stratified(self.counts)
         return f"{rate:.0%} ({low:.0%} to {high:.0%})"
 
     def to_json(self) -> dict[str, Any]:
-        """A row of ``pooled``."""
+        """Return a row of ``pooled``."""
         rate, low, high = stratified(self.counts)
         return {
             "part": self.part,
@@ -100,10 +102,10 @@ class RatePool:
 
 
 def pools(records: Iterable[Record]) -> list[RatePool]:
-    """Every policy over all tasks of each kind, and over those of each recipe and set of axes where these differ.
+    """Pool every policy over all tasks of each kind, and over those of each recipe and set of axes if these differ.
 
-    Only where there are several tasks: one alone is its own row. Steps alone and rests of tasks are kept apart from
-    whole tasks (``part``), because they are other questions.
+    Pools need several tasks; a single one has its own row. Single steps and remainders of tasks are separate from whole
+    tasks (``part``), because they measure different abilities.
     """
     groups: dict[tuple[str, str, str, str], dict[str, list[Record]]] = {}
     results = [r for r in records if is_result(r)]
@@ -134,7 +136,7 @@ def _rate_of_step(done: Sequence[int | None]) -> Rate:
 
 
 def pool_rows(found: Sequence[RatePool]) -> dict[str, dict[str, RatePool]]:
-    """The pools by title and policy; the title names the engine where there are several."""
+    """Arrange the pools by title and policy; the title names the engine if there are several."""
     several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, RatePool]]()
     for pool in found:
         rows.setdefault(f"{pool.title} in {pool.engine}" if several else pool.title, {})[pool.policy] = pool
@@ -142,7 +144,7 @@ def pool_rows(found: Sequence[RatePool]) -> dict[str, dict[str, RatePool]]:
 
 
 def stratum_of(record: Record) -> str:
-    """The stratum of a rollout: the recipe and the axes of the cousin that it took place in."""
+    """Return the stratum of a rollout: the recipe and the axes of its cousin."""
     cousin = record.get("cousin")
     return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousins"
 
@@ -151,10 +153,10 @@ def stratum_of(record: Record) -> str:
 class PolicyComparison:
     """Two policies over the same starts in one engine.
 
-    ``first_only`` and ``second_only`` count the starts at which one succeeded and the other did not; ``p`` is that of
-    the exact McNemar test, ``p_holm`` the same corrected for the number of comparisons (Holm). ``progress`` is the mean
-    difference of the share of sub-tasks done, first minus second, ``p_progress`` that of a paired permutation test of
-    it; None where no task has sub-tasks.
+    ``first_only`` and ``second_only`` count the starts at which only one of them succeeded; ``p`` is the p-value of the
+    exact McNemar test, ``p_holm`` the same corrected for the number of comparisons (Holm). ``progress`` is the mean
+    difference in the share of sub-tasks done, first minus second, ``p_progress`` the p-value of a paired permutation
+    test on it; both are None if no task has sub-tasks.
     """
 
     first: str
@@ -172,7 +174,7 @@ class PolicyComparison:
 
     @property
     def sentence(self) -> str:
-        """The comparison in one sentence."""
+        """Description of the comparison in one sentence."""
         parts = {"whole": "", "alone": " of single steps", "onward": " from a step on"}
         text = (
             f"{self.first} and {self.second} from the same {self.pairs} starts{parts[self.part]} in {self.engine}: "
@@ -184,16 +186,17 @@ class PolicyComparison:
         return f"{text}; sub-tasks done {self.progress:+.0%}, p = {self.p_progress:.3g} (paired permutation test)"
 
     def to_json(self) -> dict[str, Any]:
-        """A row of ``comparisons``."""
+        """Return a row of ``comparisons``."""
         return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
 def comparisons(records: Iterable[Record]) -> list[PolicyComparison]:
-    """Every two policies, over the starts at which both have a result; without a common start there is nothing to say.
+    """Compare all pairs of policies over the starts with a result for both; pairs without a common start are skipped.
 
-    A pair is one start of one task in one engine, which both policies began from to the last bit. Success is yes or no,
-    so the exact test of paired success is McNemar's: under the null hypothesis each start at which the two differ is a
-    fair coin. The share of sub-tasks done has more than two values: there the signs of the differences are permuted.
+    A pair is one start of one task in one engine, identical for both policies to the last bit. Success is binary, so
+    the exact paired test is McNemar's: under the null hypothesis each start at which the two differ is a fair coin
+    toss. The share of sub-tasks done has more than two values, so it is tested by permuting the signs of the
+    differences.
     """
     by_policy: dict[tuple[str, str, str], dict[tuple[Any, ...], Record]] = {}
     for record in records:
@@ -235,6 +238,6 @@ def _compared(
 
 
 def _progress(record: Record) -> float:
-    """The share of sub-tasks that were done."""
+    """Return the share of sub-tasks that were done."""
     done = record["subtasks"]
     return sum(step is not None for step in done.values()) / len(done)

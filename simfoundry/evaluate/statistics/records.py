@@ -1,8 +1,8 @@
-"""Finished rollouts on disk, one file each, so that a run that is stopped goes on where it was.
+"""Records of finished rollouts on disk, one file each, so that an interrupted evaluation can be continued.
 
-``rollouts/TASK/POLICY/ENGINE/007.json`` tells what came of a rollout, ``007.npz`` holds its actions (``--policy
-replay:…`` takes it), ``007.webm`` its video. A rollout whose policy did not answer is ``007.missing.json``: it has no
-result and is tried again. One whose policy answered with something invalid has a result: it has failed.
+``rollouts/TASK/POLICY/ENGINE/007.json`` is the result of a rollout, ``007.npz`` its actions (for ``--policy
+replay:…``), ``007.webm`` its video. A rollout whose policy did not answer is ``007.missing.json``: it has no result and
+is tried again. A rollout with an invalid answer has a result: it has failed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_BYTES = 16 * 2**20
 
 @dataclass(frozen=True)
 class RecordSlot:
-    """The place of one rollout below the folder of an evaluation."""
+    """The files of one rollout below the folder of an evaluation."""
 
     folder: Path
     task: str
@@ -38,12 +38,12 @@ class RecordSlot:
 
     @property
     def path(self) -> Path:
-        """The file that says it is done."""
+        """File of the result."""
         return self.folder / "rollouts" / self.task / self.policy / self.engine / f"{self.index:03d}.json"
 
     @property
     def missing(self) -> Path:
-        """The file that says why it is not."""
+        """File with the reason for a missing result."""
         return self.path.with_suffix(_MISSING)
 
     @property
@@ -52,11 +52,11 @@ class RecordSlot:
         return self.path.with_suffix(".webm")
 
     def read(self) -> dict[str, Any] | None:
-        """Read the record, None if there is none; raises :class:`OutputError` for a file that is none of ours."""
+        """Read the record, or None if there is none; raises :class:`OutputError` if the file is not a record."""
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
-        """Write a rollout with what else is to be known ``about`` it; the file that says it is done comes last."""
+        """Write a rollout with its context ``about``; the file that marks it as done is written last."""
         record = record_of(result, about)
         if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
@@ -69,7 +69,7 @@ class RecordSlot:
         return record
 
     def write_missing(self, reason: str, about: Mapping[str, Any]) -> dict[str, Any]:
-        """Write that the policy could not even be opened for this rollout, with what is to be known ``about`` it."""
+        """Record that the policy could not be opened for this rollout, with its context ``about``."""
         found = {"index": self.index, "success": False, "end": str(RolloutEnd.NO_ANSWER), "reason": reason, "steps": 0}
         record = {"simfoundry": VERSION, **about, **found, "subtasks": {}}
         write_atomically(self.missing, _text(record))
@@ -77,7 +77,7 @@ class RecordSlot:
 
 
 def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
-    """A rollout as plain data."""
+    """Return a rollout as plain data."""
     return {
         "simfoundry": VERSION,
         **about,
@@ -95,12 +95,12 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """True if a record has a result; a policy that did not answer has none."""
+    """Return whether a record has a result; one without an answer of the policy has none."""
     return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """A file that :meth:`Slot.write` wrote; raises :class:`OutputError` for any other."""
+    """Read a file written by :meth:`RecordSlot.write`; raises :class:`OutputError` for any other."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ValueError("too large")
@@ -108,22 +108,22 @@ def read_record(path: Path) -> dict[str, Any]:
         if record["simfoundry"] != VERSION or not isinstance(record["index"], int):
             raise ValueError("not a rollout")
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise OutputError(f"{path} is no record of a rollout; move it away, or write to another folder") from None
+        raise OutputError(f"{path} is not a record of a rollout; move it away, or choose another folder") from None
     return dict(record)
 
 
 def check_layout(folder: Path) -> None:
-    """Raise :class:`OutputError` where an earlier version wrote rollouts, which would neither be read nor replaced."""
+    """Raise :class:`OutputError` if an earlier version wrote rollouts, which would neither be read nor replaced."""
     for path in (folder / "rollouts").glob("*/*/*.json"):
         raise OutputError(
-            f"{path} was written by an earlier version, which kept no folder for each engine; write to another folder"
+            f"{path} was written by an earlier version, which had no folder per engine; choose another folder"
         )
 
 
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Every rollout of an evaluation with its file, in the order of the names: the missing ones too, by their ``end``.
+    """Yield every rollout of an evaluation with its file, ordered by name, including missing ones (see their ``end``).
 
-    Raises :class:`OutputError` for a file that is none of ours, or that an earlier version laid out differently.
+    Raises :class:`OutputError` for a file that is not a record, or for the layout of an earlier version.
     """
     check_layout(folder)
     for path in sorted((folder / "rollouts").glob("*/*/*/*.json")):

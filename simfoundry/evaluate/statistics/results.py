@@ -1,7 +1,7 @@
-"""Records of rollouts as success rates of tasks and of their steps, with intervals: what ``results.json`` holds.
+"""Success rates of tasks and their steps with intervals, computed from records of rollouts, for ``results.json``.
 
-A rollout whose policy answered with something invalid has failed and counts among the rollouts; one whose policy did
-not answer has no result: it counts as missing and in no rate.
+A rollout with an invalid answer of the policy has failed and counts as a rollout; one without an answer has no result:
+it counts as missing and does not enter any rate.
 """
 
 from __future__ import annotations
@@ -21,14 +21,17 @@ from simfoundry.evaluate.statistics.records import is_result
 VERSION = "results/2"
 
 MANY = 12
-"""Largest number of tasks whose steps are shown in tables: four rows for each of a hundred cousins help nobody."""
+"""Maximum number of tasks whose steps are listed in tables; four rows for each of a hundred cousins would be
+too many.
+"""
 
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A task with a policy in an engine: ``success`` of the whole, ``subtasks`` of each step, how the rollouts ended.
+    """A task with a policy in an engine: ``success`` of the whole, ``subtasks`` of each step, and the ends of the
+    rollouts.
 
-    ``invalid`` of the rollouts failed by an answer that is no action; ``missing`` of those asked for have no result.
+    ``invalid`` rollouts failed by an invalid answer; ``missing`` requested rollouts have no result.
     """
 
     task: str
@@ -40,36 +43,36 @@ class ScoreRow:
     subtasks: Mapping[str, Rate]
     ends: Mapping[str, int]
     mean_steps: float | None
-    """Control steps of the rollouts that succeeded, None where none did."""
+    """Control steps of the successful rollouts, None if there are none."""
     invalid: int
     missing: int
 
     @property
     def title(self) -> str:
-        """The task in words."""
+        """Title of the task."""
         return {"whole": self.task, "alone": f"{self.task}: {self.step}", "onward": f"{self.task} from {self.step}"}[
             self.part
         ]
 
     @property
     def key(self) -> tuple[str, ...]:
-        """The key that its records share, as :func:`cell_key` gives it."""
+        """Key shared by its records, as returned by :func:`cell_key`."""
         return self.task, self.part, self.step, self.engine, self.policy
 
     @property
     def exceptions(self) -> str:
-        """The counts of invalid answers and missing rollouts in words; empty if there are none."""
+        """Counts of invalid answers and missing rollouts as text; empty if there are none."""
         invalid = f"{self.invalid} by an invalid answer" if self.invalid else ""
         return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
 
     @property
     def summary(self) -> str:
-        """The success rate in words, with what did not go as it should."""
+        """Success rate as text, with any invalid and missing rollouts."""
         rate = str(self.success) if self.success.of else "no result"
         return f"{rate}, {self.exceptions}" if self.exceptions else rate
 
     def to_json(self) -> dict[str, Any]:
-        """A row of ``scores``, as `simfoundry correlate` reads it; a step alone is a task of its own there."""
+        """Return a row of ``scores``, as read by `simfoundry correlate`; a single step is a task of its own there."""
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
             **({"from": self.step} if self.part == "onward" else {}),
@@ -91,7 +94,7 @@ class ScoreRow:
 
 
 def cells(records: Iterable[Mapping[str, Any]]) -> list[ScoreRow]:
-    """The records by task, engine and policy, in their order."""
+    """Group the records by task, engine and policy, in their order."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for record in records:
         groups.setdefault(cell_key(record), []).append(record)
@@ -99,7 +102,7 @@ def cells(records: Iterable[Mapping[str, Any]]) -> list[ScoreRow]:
 
 
 def titles(found: Sequence[ScoreRow]) -> dict[str, dict[str, ScoreRow]]:
-    """The cells by title and policy; the title names the engine where there are several."""
+    """Arrange the cells by title and policy; the title names the engine if there are several."""
     several = len({cell.engine for cell in found}) > 1
     named: dict[str, dict[str, ScoreRow]] = {}
     for cell in found:
@@ -108,7 +111,7 @@ def titles(found: Sequence[ScoreRow]) -> dict[str, dict[str, ScoreRow]]:
 
 
 def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Task, part, step, engine and policy of a record: what the rollouts of a cell have in common."""
+    """Return the key of a record's cell: task, part, step, engine and policy."""
     return tuple(record[key] for key in ("task", "part", "step", "engine", "policy"))
 
 
@@ -134,9 +137,9 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """All of an evaluation as plain data; the same rollouts give the same bytes.
+    """Return the results of an evaluation as plain data; equal rollouts give equal bytes.
 
-    ``rollouts`` are those with a result, ``unanswered`` those that were tried and have none.
+    ``rollouts`` counts those with a result, ``unanswered`` those tried without a result.
     """
     kept = [{key: value for key, value in r.items() if key not in ("timings", "simfoundry")} for r in records]
     return {

@@ -1,7 +1,7 @@
-"""Success rates of policies on tasks, from a table or from the results of `simfoundry eval`.
+"""Success rates of policies on tasks, read from a table or from the results of `simfoundry eval`.
 
 A table is CSV with a header: ``task``, ``policy`` and either ``rate`` (0 to 1, or with ``%``) or ``successes`` and
-``rollouts``; ``rollouts`` may stand beside a rate. Lines of ``#`` are comments.
+``rollouts``; ``rollouts`` may also be given with a rate. Lines starting with ``#`` are comments.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from typing import Any
 from simfoundry.errors import SimfoundryError
 
 MOST_BYTES = 32 * 2**20
-"""Larger files are no tables of success rates."""
+"""Maximum size of a table [bytes]."""
 
 
 class ScoresError(SimfoundryError):
-    """A table of scores that cannot be read; the message names the file, the line and what was expected."""
+    """A table of scores that cannot be read; the message names the file, the line and the expected content."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """The success of a policy on a task: ``rate`` in [0, 1] of ``rollouts``, None if their number is unknown.
+    """The success of a policy on a task: ``rate`` in [0, 1] over ``rollouts``, None if their number is unknown.
 
-    ``invalid`` of them failed by an answer that is no action; ``missing`` further ones have no result.
+    ``invalid`` of them failed by an invalid answer; ``missing`` further ones have no result.
     """
 
     task: str
@@ -41,13 +41,13 @@ class Score:
 
 
 def read_scores(path: Path) -> list[Score]:
-    """The scores of a CSV table, of a ``results.json``, or of a folder with one; in their order.
+    """Read the scores of a CSV table, of a ``results.json``, or of a folder with one, in their order.
 
-    A row of ``results.json`` without any result is left out.
+    Rows of ``results.json`` without any result are skipped.
     """
     file = path / "results.json" if path.is_dir() else path
     if file.stat().st_size > MOST_BYTES:
-        raise ScoresError(f"{file} is larger than {MOST_BYTES >> 20} MiB, which is no table of success rates")
+        raise ScoresError(f"{file} is larger than {MOST_BYTES >> 20} MiB, the limit for a table of success rates")
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -59,10 +59,10 @@ def read_scores(path: Path) -> list[Score]:
             continue
         score = _score(place, row)
         if (score.task, score.policy, score.engine) in scores:
-            raise ScoresError(f"{place}: {score.policy} on {score.task} is there already; each pair stands once")
+            raise ScoresError(f"{place}: {score.policy} on {score.task} is a duplicate; give each pair once")
         scores[score.task, score.policy, score.engine] = score
     if not scores:
-        raise ScoresError(f"{file} holds no scores: a line each with task, policy and rate is expected")
+        raise ScoresError(f"{file} holds no scores; give a line with task, policy and rate for each")
     return list(scores.values())
 
 
@@ -107,7 +107,9 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
             raise ScoresError(f"{place}: give a rate, or successes and rollouts")
         rate = successes / rollouts
     if not 0 <= rate <= 1:
-        raise ScoresError(f"{place}: {rate:g} is no success rate; it lies between 0 and 1, or is written 34%")
+        raise ScoresError(
+            f"{place}: {rate:g} is not a success rate; give a number between 0 and 1, or a percentage such as 34%"
+        )
     counts = {key: int(_number(place, row, key) or 0) for key in ("invalid", "missing")}
     return Score(
         task, policy, rate, None if rollouts is None else int(rollouts), str(row.get("engine") or ""), **counts
@@ -115,7 +117,7 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
 
 
 def by_engine(scores: list[Score]) -> dict[str, list[Score]]:
-    """The scores of each engine, in their order; a table that names none has one, called by the empty string."""
+    """Group the scores by engine, in their order; a table without engines has one group, named by the empty string."""
     found: dict[str, list[Score]] = {}
     for score in scores:
         found.setdefault(score.engine, []).append(score)

@@ -1,1 +1,1 @@
-"""Tasks as rollouts need them: lowered scenes, starts of steps, robots that can act."""
+"""Tasks prepared for rollouts: lowered scenes, starts of steps, and robots that can act."""

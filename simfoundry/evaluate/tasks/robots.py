@@ -9,35 +9,37 @@ _FORM = "docs/robots.md, *Models of your own*, has the form"
 
 
 def check_can_act(robot: Robot) -> None:
-    """Raise :class:`RobotModelError` where rollouts would not know a robot's hand, or could not move one of its joints.
+    """Raise :class:`RobotModelError` if a robot's model lacks an identifiable hand or an actuator for one of its
+    joints.
 
-    What a policy is shown and what it answers is in terms of these, so nothing can be put in their place.
+    Observations and actions are defined in terms of these, so there is no substitute.
     """
     native = mujoco_model(robot)
     if native is None:
         raise RobotModelError(
-            f"robot `{robot.name}` has a USD only; rollouts take its hand and joints from an MJCF or a URDF, so add one"
+            f"robot `{robot.name}` has only a USD model; rollouts need its hand and joints from an "
+            "MJCF or URDF, so add one"
         )
     read = read_robot(robot, native, f"{robot.name}.")
     try:
         body_name(read, "hand")
     except RobotModelError as error:
         raise RobotModelError(
-            f"robot `{robot.name}` has no hand that rollouts could show: {error}; say which it is in a robot file, as "
-            f"`links: {{hand: {{link: {_leaf(read)}}}}}`, and name that file in the scene, as "
+            f"robot `{robot.name}` has no identifiable hand: {error}; name it in a robot file, such as "
+            f"`links: {{hand: {{link: {_leaf(read)}}}}}`, and name that file in the scene, such as "
             f"`model: {{file: my_arm.yaml}}`; {_FORM}"
         ) from None
     driven = _driven(read)
     for joint in native.joints.values() or _moving(read):
         if joint not in driven:
             raise RobotModelError(
-                f"robot `{robot.name}` cannot be moved to positions: no position actuator of {native.file.name} drives "
-                f"its joint `{joint}`; give it one, or list the arm's own under `joints` of a robot file; {_FORM}"
+                f"robot `{robot.name}` cannot be position-controlled: no position actuator of {native.file.name} "
+                f"drives its joint `{joint}`; add one, or list the arm's joints under `joints` in a robot file; {_FORM}"
             )
 
 
 def _leaf(read: MujocoRobot) -> str:
-    """The link that is the furthest along the robot: what is most often its hand."""
+    """Return the link farthest along the robot, which is most often its hand."""
     depth = [0]
     for body in range(1, read.model.nbody):
         depth.append(depth[int(read.model.body_parentid[body])] + 1)
@@ -50,7 +52,7 @@ def _moving(read: MujocoRobot) -> list[str]:
 
 
 def _driven(read: MujocoRobot) -> set[str]:
-    """The joints that an actuator pulls to a target, by the model's names."""
+    """Return the joints driven by a position actuator, by the model's names."""
     import mujoco
 
     model, found = read.model, set()

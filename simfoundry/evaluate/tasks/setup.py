@@ -1,4 +1,4 @@
-"""Scenes as tasks start: the `start` of a task, and on top of it that of a step, applied to the scene's document."""
+"""Initial scenes of tasks: the `start` of a task, and then that of a step, applied to the scene's document."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simfoundry.spec.models.task import Start, TaskSpec
 
 @dataclass(frozen=True, eq=False)
 class TaskSetup:
-    """The documents of a ``task`` and its ``scene``, and the ``step`` that it starts with, empty for the first."""
+    """The documents of a ``task`` and its ``scene``, and the ``step`` at which it starts, empty for the first."""
 
     task: Loaded
     scene: Loaded
@@ -27,28 +27,28 @@ class TaskSetup:
 
     @property
     def task_spec(self) -> TaskSpec:
-        """The task as its document has it."""
+        """The task's document."""
         assert isinstance(self.task.spec, TaskSpec)
         return self.task.spec
 
     @property
     def scene_spec(self) -> SceneSpec:
-        """The scene as its document has it."""
+        """The scene's document."""
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
     def with_step(self, name: str) -> TaskSetup:
-        """The same documents, started as a step starts."""
+        """Return the same documents, starting at a step."""
         return replace(self, step=name)
 
     @property
     def put_by_step(self) -> frozenset[str]:
-        """The objects that the step's own start puts somewhere."""
+        """Names of the objects that the step's own start places."""
         start = self.task_spec.subtasks[self.step].start if self.step else None
         return frozenset((*start.place, *start.pose)) if start is not None else frozenset()
 
     def starts(self) -> Iterator[tuple[tuple[str, ...], Start]]:
-        """The differences from the scene, later ones on top of earlier ones, each with its path in the task."""
+        """Yield the changes to the scene in order of application, each with its path in the task."""
         yield ("start",), self.task_spec.start
         own = self.task_spec.subtasks[self.step].start if self.step else None
         if own is not None:
@@ -56,7 +56,9 @@ class TaskSetup:
 
 
 def lowered(setup: TaskSetup) -> Scene:
-    """The scene as the task starts; raises :class:`SpecError`, with places in the task where its start is to blame."""
+    """Lower the scene as the task starts; raises :class:`SpecError`, with places in the task if its start is at
+    fault.
+    """
     spec = started(setup)
     try:
         return lower(replace(setup.scene, spec=spec), setup.cache)
@@ -65,7 +67,7 @@ def lowered(setup: TaskSetup) -> Scene:
 
 
 def started(setup: TaskSetup) -> SceneSpec:
-    """The scene's document with what the starts change; relations that they undo are gone."""
+    """Apply the starts to the scene's document; relations that they break are removed."""
     spec = with_starts(setup.scene_spec, (start for _, start in setup.starts()))
     moved, turned = set[str](), set[str]()
     for _, start in setup.starts():
@@ -78,7 +80,7 @@ def started(setup: TaskSetup) -> SceneSpec:
 
 
 def carried_by(setup: TaskSetup) -> dict[str, str]:
-    """The object that each object stands on or in, as far as the documents say so."""
+    """Supporting object of each object, if stated by the documents."""
     spec = started(setup)
     found = {}
     for text in spec.relations:
@@ -95,14 +97,14 @@ def _carrier(item: ObjectSpec) -> str:
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
-    """True if a relation may cease to hold when these objects, or their joints, are moved."""
+    """Return whether moving these objects, or their joints, may break a relation."""
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
 
 
 def _placed_in_task(setup: TaskSetup, finding: Diagnostic) -> Diagnostic:
-    """The finding at the place of the task that put the thing there, where one did."""
+    """Relocate a finding to the place in the task that placed the object, if there is one."""
     parts = finding.path.split(".")
     if finding.code != "SF210" or len(parts) != 3:
         return finding

@@ -1,4 +1,4 @@
-"""A task document as rollouts need it: its scene lowered as the task starts, its steps as tasks of their own."""
+"""A task prepared for rollouts: its scene lowered as the task starts, and its steps as tasks of their own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from simfoundry.spec.models.task import Reset, TaskSpec
 
 @dataclass(frozen=True, eq=False)
 class SubtaskGoal:
-    """A step: ``goal``, and what a policy is told where the step is done alone; ``starts_itself`` if it has a start."""
+    """A step: ``goal``, and the instruction if the step is done alone; ``starts_itself`` if it has a start of
+    its own.
+    """
 
     name: str
     goal: Condition
@@ -31,10 +33,10 @@ class SubtaskGoal:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A task in its lowered scene, which stands as the task starts.
+    """A task in its lowered scene, in the state in which the task starts.
 
-    ``robots`` act, in the order of an action; ``subtasks`` are in the document's order. ``reset`` holds the regions of
-    the objects that move from start to start; ``carriers`` says what stands on or in what, so that it moves along.
+    ``robots`` act, in the order of an action; ``subtasks`` are in the document's order. ``reset`` has the regions of
+    objects that differ from start to start; ``carriers`` maps each object to its support, with which it moves along.
     ``control_hz`` [Hz] and ``horizon`` [control steps]. ``step`` is the sub-task that this is, empty for the whole.
     """
 
@@ -53,23 +55,23 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """The robots that should act and have no model here, each with the reason."""
+        """Robots that should act but have no model here, each with the reason."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """One step as a task: it starts as the step's ``start`` says and ends with the step's goal.
+        """Return one step as a task: it starts as the step's ``start`` defines and ends with the step's goal.
 
-        What that start puts somewhere stays there; the rest starts in its cells. Raises :class:`SimfoundryError` for a
-        step that is not there.
+        Objects placed by that start stay there; the others start in their cells. Raises :class:`SimfoundryError` for an
+        unknown step.
         """
         step = self._subtask(name)
         own = MappingProxyType({name: step})
         return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks=own)
 
     def onward(self, name: str) -> Task:
-        """The rest of the task from a step on: it starts as that step does, and its goal is that of the whole task."""
+        """Return the rest of the task from a step on: it starts like that step, and has the goal of the whole task."""
         self._subtask(name)
         names = list(self.subtasks)
         rest = {n: self.subtasks[n] for n in names[names.index(name) :]}
@@ -95,16 +97,16 @@ class Task:
 
 
 def load_task(path: Path, cache: Cache | None = None) -> Task:
-    """The task of a document. Raises :class:`SpecError` with every finding, those of its scene included.
+    """Load the task of a document. Raises :class:`SpecError` with every finding, including those of its scene.
 
-    ``cache`` keeps convex decompositions between runs.
+    ``cache`` stores convex decompositions between runs.
     """
     loaded = load_kind(path, "task/1")
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)
     scene = loaded.used(spec.scene)
     if scene is None:
-        raise SpecError([loaded.finding("SF005", ("scene",), f"`{spec.scene}` is no scene that can be read")])
+        raise SpecError([loaded.finding("SF005", ("scene",), f"`{spec.scene}` is not a readable scene")])
     setup = TaskSetup(loaded, scene, cache=cache)
     return Task(
         name=spec.name,
@@ -122,9 +124,9 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
 
 
 def need_robots(task: Task) -> None:
-    """Raise :class:`SimfoundryError` where a robot that should act is not there, or its model does not say how."""
+    """Raise :class:`SimfoundryError` if a robot that should act is missing, or its model cannot be controlled."""
     if not task.robots:
-        raise SimfoundryError(f"task `{task.name}` has no robot that could act: its scene has none")
+        raise SimfoundryError(f"task `{task.name}` has no robot to act: its scene has none")
     for name, reason in task.missing_robots.items():
         raise SimfoundryError(f"task `{task.name}` needs robot `{name}`, which is left out: {reason}")
     for name in task.robots:

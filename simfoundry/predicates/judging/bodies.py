@@ -1,4 +1,4 @@
-"""Bodies that predicates measure on: the colliders of every link, prepared once, and the arguments that name them."""
+"""Collision bodies for predicates: the prepared colliders of every link, and the lookup of arguments by name."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 
 class PredicateError(SimfoundryError, ValueError):
-    """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
+    """A predicate that cannot be judged in this scene; the message states the reason and the alternatives."""
 
 
 class NoCavityError(PredicateError):
-    """Something is asked to be inside of what cannot hold anything."""
+    """A predicate that requires a cavity in an object without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """An object or a robot: ``item``, whose links have ``forms``; None for a link without any shape."""
+    """An object or a robot: ``item``, whose links have ``forms``; None for a link without a shape."""
 
     item: SceneObject
     forms: tuple[Form | None, ...]
@@ -36,27 +36,27 @@ class CollisionBody:
 
     @property
     def name(self) -> str:
-        """The name of the object or robot."""
+        """Name of the object or robot."""
         return self.item.name
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, Joint]]:
-        """The link that each link but the first hangs on, and the joint between them, by index."""
+        """Parent link of each link except the first, and the joint between them, by index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
         return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
 
     @cached_property
     def turns(self) -> dict[int, Turn]:
-        """The rotations about the axis of the joint that moves each link but the first, by index."""
+        """Rotations about the axis of the joint that moves each link except the first, by index."""
         return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
-        """The index of a link."""
+        """Return the index of a link."""
         return next(k for k, one in enumerate(self.item.links) if one.name == link)
 
 
 class Entity(NamedTuple):
-    """Links of a body, by index, that an argument names; the first is the one in whose frame it is boxed."""
+    """Links of a body, by index, that an argument refers to; bounding boxes use the frame of the first link."""
 
     name: str
     owner: str
@@ -65,14 +65,14 @@ class Entity(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """Joints with limits of one object, as an argument names them."""
+    """Joints with limits of one object that an argument refers to."""
 
     owner: str
     joints: tuple[Joint, ...]
 
 
 class Bodies:
-    """The bodies of a scene by name, objects and robots, prepared once."""
+    """Bodies of a scene by name, objects and robots, prepared once."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -94,7 +94,7 @@ class Bodies:
         return tuple(self[name].item for name in (*self.objects, *self.robots))
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """The colliding shapes of each link of all bodies, by the name of the body and the index of the link."""
+        """Collision shapes of each link of all bodies, by the name of the body and the index of the link."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in self.items
@@ -102,7 +102,7 @@ class Bodies:
         }
 
     def thing(self, argument: str) -> Entity:
-        """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
+        """Return the entity that an argument names: ``object``, ``object.link``, ``object.joint`` or a robot."""
         owner, _, part = argument.partition(".")
         body = self._body(owner)
         links = body.item.links
@@ -120,11 +120,11 @@ class Bodies:
         else:
             chosen = tuple(range(len(links)))
         if not any(body.forms[k] for k in chosen):
-            raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
+            raise PredicateError(f"`{argument}` has no shape to measure")
         return Entity(argument, owner, chosen, not part)
 
     def hollow_links(self, thing: Entity) -> tuple[int, ...]:
-        """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
+        """Links of an entity that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
         from simfoundry.geometry.cavity import cavity
 
         if thing not in self._hollow:
@@ -138,16 +138,16 @@ class Bodies:
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
-        """The joints with an end that an argument names: one, or all of an object."""
+        """Joints with limits that an argument names: one, or all of an object."""
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
         if part and not moving:
             there = ", ".join(j.name for j in item.joints if j.has_axis) or "none"
-            raise PredicateError(f"`{owner}` has no joint `{part}` that opens; there are: {there}")
+            raise PredicateError(f"`{owner}` has no joint `{part}` with limits; there are: {there}")
         ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
         if not ended or (part and len(ended) < len(moving)):
-            raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
+            raise PredicateError(f"no joint of `{argument}` has limits, so its closed position is undefined")
         return Joints(owner, tuple(ended))
 
     def _body(self, name: str) -> CollisionBody:
@@ -156,7 +156,7 @@ class Bodies:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
             raise PredicateError(
-                f"no model of robot `{name}` is found, so its shape is unknown; `simfoundry doctor` says more"
+                f"no model of robot `{name}` was found, so its shape is unknown; run `simfoundry doctor` for details"
             )
         raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
 
@@ -171,6 +171,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """The form of a link; scenes that share an object measure it once."""
+    """Form of a link, cached so that scenes with a common object measure it once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

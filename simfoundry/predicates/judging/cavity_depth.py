@@ -1,4 +1,4 @@
-"""Depth of an object in the cavity of another."""
+"""Depth of an object inside the cavity of another."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
 
 SAMPLES = 64
-"""Points of a thing whose depth is measured."""
+"""Number of sample points of an object whose depth is measured."""
 
 
 def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
-    """The cavities that links of a thing have as they are turned: the index of the link, and in which states it is so.
+    """Cavities of an entity's links in their current orientations: the index of the link, and its states.
 
-    Up is the nearest of the axes of a link.
+    The up axis of a cavity is the link axis nearest to up.
     """
     found = []
     for k in view.bodies.hollow_links(b):
@@ -37,7 +37,7 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
     """Depth [m] of the share :data:`ENCLOSED` of ``a`` in a cavity of ``b`` that is not turned down, (n,).
 
-    -inf where ``b`` is turned so that it holds nothing.
+    -inf if ``b`` is turned so that it cannot contain anything.
     """
     out = np.full(view.n, -np.inf)
     for k, hole, states in held_upward(view, b):
@@ -50,15 +50,15 @@ def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
 
 
 def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
-    """Least depth [m] of the share :data:`ENCLOSED` of the volume of ``a`` in a cavity, (n,).
+    """Depth [m] that the share :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity, (n,).
 
-    Negative by how far it is outside; where all of it is far outside, by a bound of that.
+    Negative outside the cavity: the distance, or a bound of it if all of ``a`` is far outside.
     """
     X_WB = view.link(owner, k)
     out = np.full(view.n, np.inf)
     middle = X_WB.p + X_WB.R @ hole.middle
     forms = view.forms(a)
-    for j, form in forms:  # the balls around both tell most
+    for j, form in forms:  # the bounding balls decide most states
         X_WA = view.link(a.owner, j)
         centre, radius = form.ball
         gap = np.linalg.norm(X_WA.p + X_WA.R @ centre - middle, axis=1) - radius - hole.size
@@ -81,7 +81,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """The number of samples of each link, in proportion to its mass."""
+    """Number of samples of each link, in proportion to its mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -91,7 +91,7 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """Spare before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
+    """Margin before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
     X_WB = view.link(owner, k)
     up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
     return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))

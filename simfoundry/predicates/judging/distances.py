@@ -1,4 +1,4 @@
-"""Distances between objects in many states: bounds for all of them, exact ones where the bounds leave it open."""
+"""Distances between objects in many states: bounds for all of them, exact values if the bounds are inconclusive."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.predicates.judging.view import Balls, View
 
 FAR = 0.05
-"""Distances beyond this [m] are bounds: no farther than the truth."""
+"""Distance [m] beyond which values are lower bounds."""
 
 FLATTEST = math.cos(math.radians(80.0))
-"""A wall that pushes up by less than this cosine does not help to hold a thing."""
+"""Least cosine with up of a wall's push that helps to support an object."""
 
 
 class Distances:
     """Distances between the bodies of one scene.
 
-    With ``bounds_first`` thresholds are decided by bounds also in few states, and MuJoCo is loaded only where these do
-    not tell; the verdicts are the same, the numbers behind them are not measured.
+    With ``bounds_first`` thresholds are decided by bounds even in few states, and MuJoCo is loaded only if these are
+    inconclusive; the verdicts are the same, but the reported numbers are not exact distances.
     """
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
@@ -48,11 +48,11 @@ class Distances:
         return Exact(self._bodies.link_shapes())
 
     def between(self, view: View, a: Entity, b: Entity, threshold: float | None = None) -> Array:
-        """Signed distance [m] between two things, (n,), negative where they overlap; inf where one touches nothing.
+        """Signed distance [m] between two entities, (n,), negative if they overlap; inf if one has no colliders.
 
-        Exact below :data:`FAR`; beyond, no less than that and no more than the truth. Of more than :data:`FEW` states
-        with a ``threshold`` [m] only the side of it is exact: below it, the distance is no more than what is returned;
-        above it, no less.
+        Exact below :data:`FAR`; beyond, between :data:`FAR` and the true distance. For more than :data:`FEW` states
+        with a ``threshold`` [m], only the side of the threshold is exact: below it, the value is an upper bound; above
+        it, a lower bound.
         """
         limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
         balls, lowers = _balls_apart(view, a, b)
@@ -77,9 +77,9 @@ class Distances:
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
         """Return the distance of ``a`` from ``b`` [m] and the cosine between up and the push of ``b``, (n,) each.
 
-        The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
-        part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is
-        that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
+        The second is the largest cosine between up and the direction from a part of ``b`` within ``limit`` [m] to a
+        part of ``a``; -1 if no part is that close. If several parts push together, as the walls of a funnel do, it is
+        that of the steepest combined direction. For more than :data:`FEW` states, only the sides of ``limit`` and
         ``steepest`` are exact.
         """
         many = view.n > FEW or self._bounds_first
@@ -121,9 +121,7 @@ class Distances:
         left = np.flatnonzero((cosine < steepest) & (gap <= limit))
         if len(left) and pushes:
             states, near, ways = (np.concatenate(column) for column in zip(*pushes, strict=True))
-            helps = (np.abs(near) <= TOUCH) & (
-                ways[:, 2] > FLATTEST
-            )  # of what overlaps deeply the direction is a guess
+            helps = (np.abs(near) <= TOUCH) & (ways[:, 2] > FLATTEST)  # the direction is unreliable for deep overlaps
             for k in left.tolist():
                 together = ways[helps & (states == k)]
                 if len(together) > 1:
@@ -131,11 +129,11 @@ class Distances:
         return gap, cosine
 
     def _measured(self, pair: LinkPair, most: Array) -> Array:
-        """The distances [m] of two links, where they are below ``most`` [m]."""
+        """Distances [m] of two links where they are below ``most`` [m]."""
         return self._exact.distance(pair.a, pair.b, pair.X_WA, pair.X_WB, candidates(pair, most), most)
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
-        """On which side of a threshold the distances of two links are: bounds that are on the same side."""
+        """Bounds of the distances of two links that lie on the correct side of a threshold."""
         found, open_ = box_bounds(pair, threshold)
         if self._bounds_first:
             open_ = decide_distances(pair, threshold, found, open_)
@@ -148,7 +146,7 @@ class Distances:
 
 
 def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls], Array]:
-    """The balls around the links of two things, and how far these are apart [m], (n, links of a, links of b).
+    """Bounding balls of two entities' links, and the gaps between them [m], (n, links of a, links of b).
 
     A link is infinitely far from itself.
     """

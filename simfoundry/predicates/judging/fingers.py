@@ -1,4 +1,4 @@
-"""The fingers of a robot's gripper, and whether they hold a thing between them."""
+"""Fingers of a robot's gripper, and whether they hold an object between them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ from simfoundry.predicates.judging.view import View
 from simfoundry.scene.robot import Gripper, mujoco_model
 
 STILL = 0.001
-"""A link that the gripper moves by less than this [m] is no finger."""
+"""Least motion [m] of a link when the gripper closes for it to count as a finger."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fingers:
-    """The two sides of a gripper as things; ``axis`` is the unit vector in the frame of link ``base`` along which the
-    first closes, and the second against it."""
+    """Two sides of a gripper as entities.
+
+    ``axis`` is the unit vector in the frame of link ``base`` along which the first side closes; the second closes in
+    the opposite direction.
+    """
 
     sides: tuple[Entity, Entity]
     base: int
@@ -31,7 +34,7 @@ class Fingers:
 
 
 def fingers(bodies: Bodies, name: str) -> Fingers | None:
-    """The fingers of a robot by which of its links its gripper moves, and which way; None where it has no gripper."""
+    """Find the fingers of a robot by the links that its gripper moves, and their directions; None without a gripper."""
     body = bodies[name]
     native = mujoco_model(bodies.scene.robot(name))
     if body.robot is None or native is None or native.gripper is None:
@@ -53,9 +56,11 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     first = tuple(k for k, way in moved.items() if way @ longest > 0)
     second = tuple(k for k in moved if k not in first)
     ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
-    axis = (ways[0] - ways[1]) / np.linalg.norm(ways[0] - ways[1])  # what both do, as reaching out, is no closing
+    axis = (ways[0] - ways[1]) / np.linalg.norm(
+        ways[0] - ways[1]
+    )  # a common motion, such as reaching out, is not part of closing
     sides = Entity(name, name, first, False), Entity(name, name, second or (base,), False)
-    return Fingers(sides, base, axis)  # one jaw alone closes against the palm
+    return Fingers(sides, base, axis)  # a single jaw closes against the palm
 
 
 def _positions(body: CollisionBody, gripper: Gripper, end: int) -> dict[str, Array]:
@@ -74,7 +79,7 @@ def _links(bodies: Bodies, body: CollisionBody, positions: dict[str, Array]) -> 
 
 
 def _carrier(body: CollisionBody, gripper: Gripper) -> int:
-    """The link that the gripper's first joint hangs on."""
+    """Return the parent link of the gripper's first joint."""
     assert body.robot is not None
     first = body.robot.joints[next(iter(gripper.joints))]
     joint = next(j for j in body.item.joints if j.name == first)
@@ -82,7 +87,7 @@ def _carrier(body: CollisionBody, gripper: Gripper) -> int:
 
 
 def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Entity) -> Array:
-    """The margin by which one of the hands holds a thing [m], (n,), at least -:data:`FAR`."""
+    """Margin by which any of the hands holds an object [m], (n,), at least -:data:`FAR`."""
     best = np.full(view.n, -FAR)
     for hand in hands:
         margin = TOUCH - touching(view, distances, hand, thing)
@@ -94,14 +99,15 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
 
 
 def touching(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """The larger of the distances of the two sides from a thing [m], (n,), on its side of :data:`TOUCH`."""
+    """Larger of the distances of the two sides from an object [m], (n,), on its side of :data:`TOUCH`."""
     return np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """By how much a side comes nearer to a thing, or deeper into it, when it is closed by :data:`PRESS` [m], (n,).
+    """Decrease in distance, or increase in penetration, of a side closed by :data:`PRESS` [m], (n,).
 
-    Of the two sides that which does so less. A side that lies on the thing without holding it slides along it.
+    The result is the smaller of those of the two sides. A side that touches the object without holding it slides along
+    it.
     """
     X_WB = view.link(hand.sides[0].owner, hand.base)
     way = X_WB.R @ hand.axis
@@ -113,7 +119,7 @@ def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> 
 
 
 def shifted(view: View, thing: Entity, offset: Array) -> View:
-    """The same states with the links of one thing moved by ``offset`` [m], (n, 3)."""
+    """Return the same states with the links of one entity translated by ``offset`` [m], (n, 3)."""
     other = view.at(np.arange(view.n))
     for k in thing.links:
         X_WL = view.link(thing.owner, k)

@@ -19,7 +19,7 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 CHUNK = 4096
-"""States that are judged at once: their arrays stay in the processor's cache."""
+"""Number of states judged at once: their arrays fit in the processor's cache."""
 
 
 class Verdict(NamedTuple):
@@ -31,14 +31,14 @@ class Verdict(NamedTuple):
 
 
 class Judge:
-    """Judges conditions on states of one scene; what it prepares of the scene it keeps.
+    """Judges conditions on states of one scene; preprocessed data of the scene is kept.
 
-    A condition is a text, ``"OnTop(cup, desk)"``, or several joined by ``all``, ``any`` and ``not``, as data or as the
-    models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for what is no condition and
-    :class:`PredicateError` for what cannot be judged in this scene.
+    A condition is a text, ``"OnTop(cup, desk)"``, or several combined by ``all``, ``any`` and ``not``, as data or as
+    the models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for invalid conditions and
+    :class:`PredicateError` for conditions that cannot be judged in this scene.
 
-    With ``bounds_first`` values are the same, but margins and explanations may name bounds instead of distances, and
-    MuJoCo is loaded only where bounds do not tell.
+    With ``bounds_first`` values are the same, but margins and explanations may contain bounds instead of distances, and
+    MuJoCo is loaded only if bounds are inconclusive.
     """
 
     def __init__(self, scene: Scene, bounds_first: bool = False) -> None:
@@ -47,12 +47,12 @@ class Judge:
         self._calls: dict[str, tuple[Callable[..., None], list[Any]]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
-        """The verdict on one state."""
+        """Return the verdict on one state."""
         value, margin, why = self._judged(condition, View(self._context.bodies, StateBatch.of(self.scene, [state])))
         return Verdict(bool(value[0]), float(margin[0]), why(0))
 
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
-        """Values and margins in n states, shape (n,) each."""
+        """Return values and margins in n states, shape (n,) each."""
         values, margins = np.zeros(batch.n, bool), np.zeros(batch.n)
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
@@ -61,10 +61,10 @@ class Judge:
         return values, margins
 
     def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
-        """Values of several conditions in n states, (n,) each, by name.
+        """Return the values of several conditions in n states, (n,) each, by name.
 
-        Faster than :meth:`batch` for each: they share poses and verdicts, and a part of a condition is judged only if
-        the parts before it leave its value open in some state.
+        Faster than :meth:`batch` for each: the conditions share poses and verdicts, and a part of a condition is judged
+        only if the parts before it are inconclusive in some state.
         """
         found = {name: np.zeros(batch.n, bool) for name in conditions}
         for start in range(0, batch.n, CHUNK):
@@ -76,7 +76,7 @@ class Judge:
         return found
 
     def _value(self, condition: Any, view: View, known: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """The values of a condition; ``known`` are those of predicates that were judged before, by their text."""
+        """Values of a condition; ``known`` holds the values of predicates judged before, by their text."""
         tag, below = parts(condition)
         if tag == "text":
             if condition not in known:
@@ -94,14 +94,14 @@ class Judge:
         return value
 
     def _arguments(self, call: Call) -> list[Any]:
-        """The arguments as the rule takes them: things, joints and numbers by their kinds."""
+        """Return the arguments as the rule expects them: entities, joints and numbers according to their kinds."""
         bodies = self._context.bodies
         read: dict[str, Callable[[str], Any]] = {"joint": bodies.joints, "number": float}
         found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
         things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
         for a, b in combinations(things, 2):
             if a.owner == b.owner and set(a.links) & set(b.links):
-                raise PredicateError(f"`{call}` is about one thing twice")
+                raise PredicateError(f"`{call}` names one object twice")
         return found
 
     def _judged(self, condition: Any, view: View) -> _Judged:
@@ -116,7 +116,7 @@ class Judge:
             return _Judged(terms.margin > 0, terms.margin, terms.explanation)
         if not below:
             raise PredicateError(
-                f"`{tag}` of nothing is no condition: it would always be {'true' if tag == 'all' else 'false'}"
+                f"`{tag}` without conditions is invalid: it would always be {'true' if tag == 'all' else 'false'}"
             )
         judged = [self._judged(one, view) for one in below]
         if tag == "not":
@@ -134,7 +134,7 @@ class _Judged(NamedTuple):
 
 
 class _Reasons(NamedTuple):
-    """The explanations of several: of those that ``decide`` if there are any, else of all."""
+    """Explanations of several conditions: of those that ``decide`` if there are any, else of all."""
 
     judged: list[_Judged]
     decide: bool

@@ -1,4 +1,4 @@
-"""Objects over and under another: the plumb line through its middle."""
+"""Objects above and below another along the plumb line through its middle."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from simfoundry.predicates.judging.view import View
 
 
 class Meeting(NamedTuple):
-    """Depths of the plumb lines of one thing in the parts of another over and under it [m], (n,) each.
+    """Depths of the plumb lines of one entity in the parts of another over and under it [m], (n,) each.
 
-    Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
-    the end of the one on that line; negative where nothing is met.
+    Each is the smaller of two values: the depth of the line within the other's outline, and the distance on that line
+    by which the other extends beyond the end of the first. Negative if nothing is hit.
     """
 
     over: Array
@@ -26,7 +26,7 @@ class Meeting(NamedTuple):
 
 
 def meet(view: View, a: Entity, b: Entity) -> Meeting:
-    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` meets outside of ``a``."""
+    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` intersects outside of ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
     found = list(_chords_of(view, points, b))
@@ -48,7 +48,7 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
 
 
 def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
-    """The ends of plumb lines through points in the thing itself, over the points [m], (n,); 0 if they miss it."""
+    """Ends of plumb lines through points in the entity itself, over the points [m], (n,); 0 if they miss it."""
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
@@ -58,7 +58,7 @@ def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
 
 
 def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index, Array, Array, Array]]:
-    """The chords of plumb lines in each link of a thing; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
+    """Chords of plumb lines in each link of an entity; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
     for k, form in view.forms(thing):
         found = chords_of(form, view.link(thing.owner, k), points)
         if len(found[0]):
@@ -66,5 +66,5 @@ def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index
 
 
 def _beside(view: View, points: Array, b: Entity) -> Array:
-    """Distance of points along the ground from the middle of the box around a thing [m], (n,)."""
+    """Distance of points along the ground from the middle of an entity's bounding box [m], (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)

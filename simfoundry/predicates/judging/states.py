@@ -22,9 +22,9 @@ def _nothing() -> Mapping[str, Array]:
 class StateBatch:
     """``n`` states of one scene.
 
-    ``poses`` are X_WO by object; ``joints`` positions [rad or m] by ``object.joint``, shape (n,), and ``motions`` of
-    ball and free joints as in :class:`SceneState`; ``robots`` positions of a robot's joints by ``robot.joint``, shape
-    (n,); ``speeds`` [m/s] by object, shape (n,). What is not mentioned is as the scene describes it, at rest.
+    ``poses`` are X_WO by object; ``joints`` are positions [rad or m] by ``object.joint``, shape (n,); ``motions`` are
+    those of ball and free joints as in :class:`SceneState`; ``robots`` are positions of a robot's joints by
+    ``robot.joint``, shape (n,); ``speeds`` [m/s] by object, shape (n,). Everything else is as in the scene, at rest.
     """
 
     n: int
@@ -36,12 +36,14 @@ class StateBatch:
 
     @classmethod
     def of(cls, scene: Scene, states: Sequence[SceneState]) -> StateBatch:
-        """The states in their order; what one of them does not mention is as the scene describes it."""
+        """Return the states in their order; values missing from a state are those of the scene."""
         initial = SceneState.initial(scene)
         arms = {f"{r}.{j}" for s in states for r, joints in s.robots.items() for j in joints}
         complete = {r: [s.robots.get(r) for s in states] for s in states[:1] for r in s.robots}
         if any(joints is None for every in complete.values() for joints in every):
-            raise ValueError("some of the states say where the robots' joints are, and some do not")
+            raise ValueError(
+                "only some of the states have positions of the robots' joints; give them for all states or for none"
+            )
         return cls(
             len(states),
             {n: _stacked([s.poses.get(n, pose) for s in states]) for n, pose in initial.poses.items()},
@@ -55,7 +57,7 @@ class StateBatch:
         )
 
     def at(self, index: Index) -> StateBatch:
-        """Some of the states."""
+        """Select states."""
 
         def taken(arrays: Mapping[str, Array]) -> dict[str, Array]:
             return {name: values[index] for name, values in arrays.items()}

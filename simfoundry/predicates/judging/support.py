@@ -1,4 +1,4 @@
-"""Support from below: contacts that push an object up, balance on them, and what rests on an object."""
+"""Support from below: upward contacts, balance, and the objects supported by an object."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from simfoundry.scene.lengths import length
 
 
 def least_cosine(context: Context, a: Entity, b: Entity) -> float:
-    """The least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
+    """Least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
     friction = math.sqrt(_friction(context, a) * _friction(context, b))
     return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
 
 
 def _friction(context: Context, thing: Entity) -> float:
-    """The mean coefficient of the colliders of a thing; 0 if it has none."""
+    """Mean friction coefficient of an entity's colliders; 0 if it has none."""
     links = context.bodies[thing.owner].item.links
     found = [collider.friction for k in thing.links for collider in links[k].colliders]
     return sum(found) / len(found) if found else 0.0
 
 
 class SupportContact:
-    """Distance and push between two things, measured together in the states that are still open."""
+    """Distance and push between two entities, measured together in the states that are still undecided."""
 
     def __init__(self, context: Context, a: Entity, b: Entity) -> None:
         self.context, self.a, self.b = context, a, b
@@ -39,7 +39,7 @@ class SupportContact:
         self._rival: NDArray[np.bool_] = np.zeros(0, bool)
 
     def gap(self, view: View) -> Array:
-        """The distance [m], (n,); remembers the push, and where something else is closer and supports ``a``."""
+        """Return the distance [m], (n,); store the push, and the states in which a closer object supports ``a``."""
         support = self.context.distances.support
         gap, up = support(view, self.a, self.b, CLOSE, self.least_cosine)
         self._rival = np.zeros(view.n, bool)
@@ -54,18 +54,18 @@ class SupportContact:
         return gap
 
     def margin(self, gap: Array) -> Array:
-        """The margin [m] of the distances that :meth:`gap` returned, (n,)."""
+        """Return the margin [m] of the distances that :meth:`gap` returned, (n,)."""
         return np.asarray(np.where(self._rival, CLOSE, TOUCH) - gap)
 
     def push(self, _: View) -> Array:
-        """The cosine between up and the push in the states in which the margin is positive."""
+        """Return the cosine between up and the push in the states with a positive margin."""
         return self._up
 
 
 def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
-    """Distance of the centre of mass of ``a`` from the edge of the outline of ``b``, inwards [m], (n,).
+    """Distance of the centre of mass of ``a`` from the edge of the outline of ``b``, positive inside [m], (n,).
 
-    If the centre of mass is beside ``b`` and another object touches ``a`` too, the spare of that contact instead.
+    If the centre of mass is beside ``b`` and another object touches ``a`` too, the margin of that contact instead.
     """
     within = over(centre_of_mass(view, a), view.boxes(b))
     for other in context.others(a, b):
@@ -77,7 +77,7 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
 
 
 def centre_of_mass(view: View, a: Entity) -> Array:
-    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
+    """Centre of mass of an entity [m], (n, 3); the middle of its bounding box if it has no mass."""
     links = view.bodies[a.owner].item.links
     masses = [links[k].mass for k in a.links]
     if sum(masses) <= 0:
@@ -90,24 +90,24 @@ def centre_of_mass(view: View, a: Entity) -> Array:
 
 
 def balance_text(a: Entity, b: Entity, value: float) -> str:
-    """The explanation of :func:`balance`."""
+    """Explain :func:`balance`."""
     if value > 0:
-        return f"it carries `{a.name}`"
+        return f"it supports `{a.name}`"
     return (
         f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
     )
 
 
 def push_text(a: Entity, b: Entity, cosine: float) -> str:
-    """The reason why the push of ``b`` does not support ``a``."""
+    """Explain why the push of ``b`` does not support ``a``."""
     if cosine < 0:
         return f"`{b.name}` is over `{a.name}`, not under it"
     off = np.degrees(np.arccos(min(cosine, 1.0)))
-    return f"`{b.name}` pushes `{a.name}` to the side, {off:.0f} deg off straight up"
+    return f"`{b.name}` pushes `{a.name}` sideways, {off:.0f} deg from straight up"
 
 
 def gap_to_others(context: Context, a: Entity, view: View) -> Array:
-    """The distance of ``a`` from the nearest object that it does not support [m], (n,)."""
+    """Distance of ``a`` from the nearest object that it does not support [m], (n,)."""
     others = context.others(a)
     gaps = {b: context.distances.between(view, a, b, TOUCH) for b in others}
     load = supported_by(context, view, a, gaps)
@@ -116,7 +116,7 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """The others that ``a`` supports, directly or through others, (n,) each; ``gaps`` [m] are their distances from it.
+    """Objects that ``a`` supports, directly or indirectly, (n,) each; ``gaps`` [m] are their distances from it.
 
     Measured only in the states in which something touches ``a``.
     """
@@ -145,7 +145,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """True where ``a`` is no farther than ``limit`` [m] from ``b`` and pushes it up, (n,)."""
+    """True if ``a`` is no farther than ``limit`` [m] from ``b`` and ``b`` pushes it up, (n,)."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

@@ -1,4 +1,4 @@
-"""Terms of a predicate: measured numbers with a signed margin, of which every one must be positive."""
+"""Terms of a predicate: measured values with signed margins, all of which must be positive."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from simfoundry.predicates.judging.view import View
 from simfoundry.scene.lengths import length
 
 Explain = Callable[[float, bool], str]
-"""The text for a term's value, given whether the term holds; empty if there is nothing to say."""
+"""Function from a term's value, and whether the term holds, to its explanation, which may be empty."""
 
 
 class Context:
-    """Measurements that are prepared once for a scene."""
+    """Measurements prepared once for a scene."""
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self.bodies = bodies
@@ -30,36 +30,36 @@ class Context:
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:
-        """The fingers of the robots that have a gripper, by robot."""
+        """Fingers of the robots with a gripper, by robot."""
         found = {name: fingers(self.bodies, name) for name in self.bodies.robots}
         return {name: hand for name, hand in found.items() if hand is not None}
 
     @cached_property
     def start(self) -> View:
-        """The one state that the scene itself describes."""
+        """Initial state of the scene as a batch of one."""
         return View(self.bodies, StateBatch(1, {}))
 
     def others(self, *things: Entity) -> list[Entity]:
-        """The objects with a shape that none of ``things`` belongs to."""
+        """Objects with a shape to which none of ``things`` belongs."""
         owners = {thing.owner for thing in things}
         names = (name for name in self.bodies.objects if name not in owners)
         return [self.bodies.thing(name) for name in names if any(self.bodies[name].forms)]
 
 
 class Term(NamedTuple):
-    """One number that decides: its ``value`` and ``margin``, (n,); NaN where an earlier term had decided."""
+    """One decisive quantity: its ``value`` and ``margin``, (n,); NaN if an earlier term was decisive."""
 
     value: Array
     margin: Array
     explain: Explain
 
     def text(self, k: int) -> str:
-        """The explanation for the k-th state."""
+        """Return the explanation for the k-th state."""
         return self.explain(float(self.value[k]), bool(self.margin[k] > 0))
 
 
 class Terms:
-    """The terms of one predicate in the states of ``view``, in the order in which its rule adds them."""
+    """Terms of one predicate in the states of ``view``, in the order in which its rule adds them."""
 
     def __init__(self, context: Context, view: View) -> None:
         self.context, self.view = context, view
@@ -74,9 +74,9 @@ class Terms:
     def require_if_open(
         self, measure: Callable[[View], Array], margin: Callable[[Array], Array], explain: Explain
     ) -> None:
-        """Add a term that is slow to measure: only in the states in which every term so far holds.
+        """Add a term that is slow to measure, only in the states in which every term so far holds.
 
-        ``measure`` returns the values in these states, and ``margin`` turns values into margins.
+        ``measure`` returns the values in these states, and ``margin`` converts values to margins.
         """
         value, margins = np.full(self.view.n, np.nan), np.full(self.view.n, np.nan)
         left = np.flatnonzero(self.margin > 0)
@@ -101,13 +101,13 @@ class Terms:
             )
 
     def gap_text(self, a: Entity, b: Entity, value: float) -> str:
-        """The explanation of a distance [m] between two things."""
+        """Explain a distance [m] between two entities."""
         if not np.isfinite(value):
-            return f"`{a.name}` and `{b.name}` touch nothing"
+            return f"`{a.name}` or `{b.name}` has no colliders"
         return f"`{a.name}` is {length(value)} away from `{b.name}`" if value > 0 else f"`{a.name}` touches `{b.name}`"
 
     def explanation(self, k: int) -> str:
-        """The terms that fail in the k-th state, or all of them if none does."""
+        """Return the terms that fail in the k-th state, or all of them if none does."""
         known = [term for term in self.terms if not np.isnan(term.margin[k])]
         failed = [term for term in known if not term.margin[k] > 0]
         return "; ".join(text for term in failed or known if (text := term.text(k)))

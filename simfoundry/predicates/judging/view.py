@@ -1,4 +1,4 @@
-"""Poses, boxes and spans of the bodies of a scene in many states, each computed once and when it is needed."""
+"""Poses, bounding boxes and extents of the bodies of a scene in many states, each computed once on demand."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Boxes(NamedTuple):
-    """The box around a thing in its own frame, and the one turned by 45 degrees about its z axis.
+    """Bounding box of an entity in its own frame, and one rotated by 45 degrees about its z axis.
 
-    ``middle`` is the middle of the first [m] in the world, (n, 3). Of both, as two rows: ``centre`` [m] in the world,
-    (2, n, 3); ``half`` extents [m], (2, n, 3); ``R`` their axes, (2, n, 3, 3).
+    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``centre`` [m] in the world,
+    (2, n, 3); ``half`` extents [m], (2, n, 3); ``R``, their axes, (2, n, 3, 3).
     """
 
     centre: Array
@@ -29,22 +29,22 @@ class Boxes(NamedTuple):
 
     @property
     def middle(self) -> Array:
-        """The middle of the first box [m], (n, 3)."""
+        """Middle of the first box [m], (n, 3)."""
         return np.asarray(self.centre[0])
 
     @property
     def reach(self) -> Array:
-        """The distance of the corners of the first box from its middle [m], (n,)."""
+        """Distance of the corners of the first box from its middle [m], (n,)."""
         return np.asarray(np.linalg.norm(self.half[0], axis=1))
 
     @property
     def size(self) -> Array:
-        """The mean of the extents of the first box [m], (n,)."""
+        """Mean extent of the first box [m], (n,)."""
         return np.asarray(2 * self.half[0].mean(axis=1))
 
 
 class Balls(NamedTuple):
-    """Links with a form, by index, and a ball around each in n states.
+    """Links with a form, by index, and a bounding ball of each in n states.
 
     ``centre`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
     """
@@ -65,7 +65,7 @@ class View:
         self._balls: dict[Entity, Balls] = {}
 
     def at(self, index: Index) -> View:
-        """Some of the states."""
+        """Select states."""
         view = View(self.bodies, self.batch.at(index))
         view._links = {key: poses.at(index) for key, poses in self._links.items()}
         return view
@@ -86,7 +86,7 @@ class View:
         return self._links[key]
 
     def place(self, owner: str, k: int, X_WL: Poses) -> None:
-        """Put the k-th link of a body elsewhere; the links that hang on it stay."""
+        """Move the k-th link of a body; its child links stay."""
         self._links[owner, k] = X_WL
 
     def _moved(self, owner: str, k: int, joint: Joint, X_WZ: Poses) -> Poses:
@@ -102,22 +102,22 @@ class View:
         return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
-        """The position of a joint [rad or m], (n,)."""
+        """Position of a joint [rad or m], (n,)."""
         given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
         at = given.get(f"{owner}.{joint.name}")
         return np.full(self.n, joint.position) if at is None else at
 
     def frame(self, thing: Entity) -> Poses:
-        """The frame of a thing: of its first link."""
+        """Frame of an entity: that of its first link."""
         return self.link(thing.owner, thing.links[0])
 
     def forms(self, thing: Entity) -> list[tuple[int, Form]]:
-        """The links of a thing that have a shape, by index."""
+        """Links of an entity that have a shape, by index."""
         forms = self.bodies[thing.owner].forms
         return [(k, form) for k in thing.links if (form := forms[k]) is not None]
 
     def balls(self, thing: Entity) -> Balls:
-        """The balls around the links of a thing that touch."""
+        """Bounding balls of the solid links of an entity."""
         if thing not in self._balls:
             solid = [(k, form) for k, form in self.forms(thing) if form.solid]
             centres = [self.link(thing.owner, k) for k, _ in solid]
@@ -129,7 +129,7 @@ class View:
     # -- extents ----------------------------------------------------------------------------------------------------
 
     def span(self, thing: Entity, axis: Array) -> tuple[Array, Array]:
-        """Lowest and highest coordinate [m] along one unit vector (3,), or along one a state (n, 3); shape (n,)."""
+        """Lowest and highest coordinate [m] along one unit vector (3,), or one per state (n, 3); shape (n,)."""
         low, high = np.full(self.n, np.inf), np.full(self.n, -np.inf)
         for k, form in self.forms(thing):
             X_WL = self.link(thing.owner, k)
@@ -143,13 +143,13 @@ class View:
         return low, high
 
     def heights(self, thing: Entity) -> tuple[Array, Array]:
-        """Lowest and highest point over the ground [m], (n,)."""
+        """Lowest and highest point above the ground [m], (n,)."""
         if thing not in self._heights:
             self._heights[thing] = self.span(thing, UP)
         return self._heights[thing]
 
     def boxes(self, thing: Entity) -> Boxes:
-        """The boxes around a thing."""
+        """Bounding boxes of an entity."""
         if thing not in self._boxes:
             forms, X_WF = self.forms(thing), self.frame(thing)
             if len(forms) == 1 and forms[0][0] == thing.links[0]:
@@ -163,7 +163,7 @@ class View:
 
 
 def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
-    """From the ends along :data:`TURNED` in the frame, (n, 5) each."""
+    """Compute boxes from the extents along :data:`TURNED` in the frame, (n, 5) each."""
     centres, halves, axes = [], [], []
     for rows in ([0, 1, 2], [3, 4, 2]):
         basis = TURNED[rows].T
@@ -174,7 +174,7 @@ def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
 
 
 def over(points: Array, boxes: Boxes) -> Array:
-    """Distance of points from the edge of the outline of both boxes, seen from above [m], (n,); negative beside it.
+    """Distance of points from the edge of the outline of both boxes, seen from above [m], (n,); negative outside.
 
     The outline of a box is a hexagon whose sides are those of its edges.
     """
@@ -192,9 +192,9 @@ def over(points: Array, boxes: Boxes) -> Array:
 
 
 def ground_gap(view: View, a: Entity, b: Entity) -> Array:
-    """Distance between two things along the ground [m], (n,), negative if they overlap.
+    """Distance between two entities along the ground [m], (n,), negative if they overlap.
 
-    The widest gap across the edges of their boxes and along the line between their middles.
+    The largest gap across the edges of their boxes and along the line between their middles.
     """
     boxes = view.boxes(a), view.boxes(b)
     ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]

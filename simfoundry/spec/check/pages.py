@@ -91,9 +91,9 @@ _INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
 
-Everything that SimFoundry can find in a document has a code that stays the same. Codes that start with `SF4` are
-warnings, and can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these
-pages, and [checking.md](checking.md) says how to check at each commit and on a server.
+Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, and can be
+silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
+[checking.md](checking.md) explains how to run the checks before each commit and in CI.
 """
 
 

@@ -228,5 +228,10 @@ def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
         free = {name: item for name, item in loaded.spec.objects.items() if not item.fixed}
         for name, item in list(free.items())[:1]:
             key = "pose" if item.place is None else "place"
-            lines = ["", "objects:", f"  {name}:", f"    {key}: {{yaw_deg: 45}}  # turned; the rest is as it was"]
+            lines = [
+                "",
+                "objects:",
+                f"  {name}:",
+                f"    {key}: {{yaw_deg: 45}}  # rotated; all other keys are inherited",
+            ]
     return {**_named(base, path), "objects": "\n".join(lines)}

@@ -19,10 +19,10 @@ INTRODUCTION = """\
 <!-- Written by `make schemas` from simfoundry/spec; edit the models, not this page. -->
 
 A document is a YAML 1.2 file whose first key names its kind. Lengths are in metres, masses in kilograms, times in
-seconds; an angle carries its unit in its key. A *name* is lower-case letters, digits and `_`, starts with a letter and
-has at most 64 characters. Unknown keys and keys written twice are errors. In the tables, `[number] × 3` is a list of
-three numbers and *name → number* a mapping from names. Frames, orders and the meaning of friction are in
-[conventions.md](conventions.md).
+seconds; the key of an angle contains its unit. A *name* consists of lower-case letters, digits and `_`, starts with a
+letter and has at most 64 characters. Unknown keys and keys written twice are errors. In the tables, `[number] × 3` is a
+list of three numbers and *name → number* a mapping from names. Frames, the order of components and the meaning of
+friction are defined in [conventions.md](conventions.md).
 """
 
 

@@ -149,7 +149,7 @@ class Estimate(Model):
         None, description="The lowest and highest plausible value [kg, or kg/m^3]."
     )
     source: Annotated[str, FormerKey("by")] = Field(
-        "unknown", max_length=64, description="Person or method that estimated it, as `category_table`."
+        "unknown", max_length=64, description="Person or method that estimated it, such as `category_table`."
     )
 
     @model_validator(mode="after")
@@ -171,7 +171,7 @@ def quantity_value(quantity: float | Estimate | None) -> float | None:
 
 
 class Round(Model):
-    """Radius and height of a cylinder or capsule, which stand along z."""
+    """Radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
     height: Length = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
@@ -271,7 +271,7 @@ class Origin(Model):
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="Assumptions that were made.")
-    cousin: CousinOf | None = Field(None, description="The cousin that it is, if a recipe generated it.")
+    cousin: CousinOf | None = Field(None, description="Recipe, seed and index, if it is a cousin.")
 
 
 class Material(Model):
@@ -309,11 +309,11 @@ class BodySpec(Model):
     collision: Collision = Field(
         "auto",
         description="Collision shapes of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, "
-        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no contact. Primitives collide unchanged.",
+        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no collision. Primitives stay unchanged.",
     )
     solid: Solid = Field(
         "exact",
-        description="Volume that carries the mass of a mesh: its own (it must be closed), or its convex hull's.",
+        description="Volume for the mass properties of a mesh: its own (it must be closed), or its convex hull's.",
     )
 
 
@@ -321,7 +321,7 @@ class Conflict(Model):
     """Two edits of one value that a merge could not unite; the document holds ours until someone decides."""
 
     base: Any = Field(None, description="Value that both sides started from.")
-    ours: Any = Field(None, description="Value of this side, which stands in the document.")
+    ours: Any = Field(None, description="Value of this side, which the document has.")
     theirs: Any = Field(None, description="Value of the other side.")
 
 
@@ -336,8 +336,8 @@ class DocumentSpec(Model):
 
     extends: FileName | None = Field(
         None,
-        description="A document of the same kind that this one changes, relative to this document. Mappings are joined "
-        "key by key, all else is replaced, and `null` removes.",
+        description="A document of the same kind that this one changes, relative to this document. Mappings are merged "
+        "key by key, all other values are replaced, and `null` removes a key.",
     )
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="Description for people.")
@@ -347,5 +347,6 @@ class DocumentSpec(Model):
         "`SF402: {cup: why}`.",
     )
     conflicts: dict[str, Conflict] = Field(
-        {}, description="Open conflicts of a merge, by path: write the right value there, then remove the entry."
+        {},
+        description="Unresolved conflicts of a merge, by path: correct the value at the path, then remove the entry.",
     )

@@ -89,7 +89,7 @@ class AllOf(Model):
 class AnyOf(Model):
     """True if at least one condition holds."""
 
-    any: tuple[Condition, ...] = Field(description="Conditions of which one must hold.")
+    any: tuple[Condition, ...] = Field(description="Conditions of which at least one must hold.")
 
 
 # `not` is a Python keyword, so this model cannot be defined with a class statement.
@@ -97,7 +97,7 @@ NoneOf: type[Model] = create_model(
     "NoneOf",
     __base__=Model,
     __module__=__name__,
-    __doc__="True where it is not.",
+    __doc__="True if the condition does not hold.",
     **{"not": ("Condition", Field(description="A condition that must not hold."))},  # type: ignore[call-overload]
 )
 

@@ -116,7 +116,8 @@ class GripperConvention(Model):
     open: Number = Field(0.0, description="Number for fully open.")
     closed: Number = Field(1.0, description="Number for fully closed.")
     threshold: Number | None = Field(
-        None, description="Closure, 0 to 1, from which the gripper closes fully; default: it also stops in between."
+        None,
+        description="Closure, 0 to 1, above which the gripper closes fully; default: intermediate positions are used.",
     )
 
     @model_validator(mode="after")
@@ -129,7 +130,7 @@ class GripperConvention(Model):
 
 
 class PolicySpec(DocumentSpec):
-    """A policy behind a server: its address, and the conventions that its protocol does not fix."""
+    """A policy behind a server: its address, and the conventions that its protocol does not specify."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
     protocol: ProtocolName = Field(
@@ -139,12 +140,12 @@ class PolicySpec(DocumentSpec):
         description="Address of the server: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="Meaning of the arm's numbers in an action, which no protocol fixes."
+        description="Meaning of the arm's values in an action, which no protocol specifies."
     )
     velocity_unit: Positive | None = Field(
         None,
         description="Velocity [rad/s or m/s] of the value 1, if velocities range from -1 to 1; DROID: 3. "
-        "Default: they come in rad/s or m/s.",
+        "Default: velocities are in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
         description="Steps of each action chunk to execute before the policy is queried again."
@@ -156,9 +157,11 @@ class PolicySpec(DocumentSpec):
     gripper: GripperConvention = Field(
         GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
     )
-    timeout: Positive = Field(60.0, le=86400, description="Timeout of an answer [s].")
+    timeout: Positive = Field(60.0, le=86400, description="Timeout of a response [s].")
     warm_up: Positive = Field(
-        600.0, le=86400, description="Timeout of the first answer of a connection, while the server compiles [s]."
+        600.0,
+        le=86400,
+        description="Timeout of the first response of a connection, during which the server may compile [s].",
     )
     retries: Whole = Field(3, description="Attempts to restore a lost connection before a rollout fails.")
     api_key: Variable | None = Field(

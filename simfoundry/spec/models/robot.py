@@ -34,7 +34,7 @@ class KnownRobot:
 class RobotFiles(Model):
     """A robot of your own: its model in one or more formats; each target takes its native one.
 
-    Rollouts ask for its hand and, where it has one, its gripper, which no model names: those stand in a robot ``file``.
+    Rollouts need its hand and gripper (if it has one), which only a robot ``file`` defines.
     """
 
     file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
@@ -60,7 +60,7 @@ class RobotSpec(Model):
     model: Annotated[
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
-    ] = Field(description="A known robot, as `franka_robotiq`, or the files of another.")
+    ] = Field(description="A known robot, such as `franka_robotiq`, or the files of another one.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],

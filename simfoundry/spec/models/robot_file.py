@@ -68,8 +68,8 @@ class ModelSpec(Model):
     file: Reference | list[Reference] = Field(
         description="The file, or several, of which the first that exists is used."
     )
-    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, as a gripper, by name.")
-    links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
+    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, such as a gripper, by name.")
+    links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, such as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None
     effort: dict[JointName, Positive] = Field(

@@ -214,4 +214,4 @@ def test_a_camera_rides_on_every_variant_that_has_its_link(built: Path) -> None:
     file.write_text(file.read_text().replace("    variants:\n", "    variant: tall\n    variants:\n"))
     for target in ("mjcf", "usd"):
         losses = [loss.reason for loss in compile_scene(lower_file(file), target).losses if "two" in loss.path]
-        assert losses == ["`cup` stands as its variant `tall`, which has no link `lid`"]
+        assert losses == ["the variant `tall` of `cup` has no link `lid`"]
