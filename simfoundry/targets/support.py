@@ -1,4 +1,4 @@
-"""The support matrix, feature by target, from the tables beside the backends and the profiles."""
+"""The support matrix of features and targets, from the tables beside the backends and profiles."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MARKS = {None: "✓", Fidelity.APPROXIMATED: "≈", Fidelity.DROPPED: "–", Fid
 
 @dataclass(frozen=True)
 class Column:
-    """A target with what becomes of each feature in it."""
+    """A target and the fidelity of each feature in it."""
 
     target: Target
     cells: dict[str, SupportCell]
 
     @property
     def title(self) -> str:
-        """Its name, with a star where nothing was run."""
+        """Its name, with a star if it has not been run."""
         profile = self.target.profile
         return self.target.name + ("*" if profile.tested.how == "checked" else "")
 
@@ -32,7 +32,7 @@ _TITLES = {"scene": "Scenes", "object": "Objects", "body": "Bodies", "joint": "J
 
 
 def cells_of(target: Target) -> dict[str, SupportCell]:
-    """Return the fidelity of each feature in a target: its backend's table, as its profile changes it."""
+    """Return the fidelity of each feature in a target: the table of its backend, as modified by its profile."""
     cells = dict(features_of(target.backend))
     profile = target.profile
     for name, how in profile.restores.items():
@@ -49,7 +49,7 @@ def cells_of(target: Target) -> dict[str, SupportCell]:
 
 
 def support_page() -> str:
-    """The page with the matrix, and below it every reason."""
+    """Return the page with the matrix and all reasons."""
     columns = [Column(target, cells_of(target)) for target in map(find_target, target_names())]
     return "\n".join([*_INTRODUCTION, *_matrices(columns), *_reasons(columns), ""])
 

@@ -1,4 +1,4 @@
-"""``asset/1``: an object with links, parts and joints, for use in scenes."""
+"""``asset/1``: an object with links, parts, and joints, for use in scenes."""
 
 import math
 from typing import Literal, Self
@@ -70,22 +70,22 @@ class Inertial(Model):
 
 
 ROUNDING = 1e-6
-"""Share by which a principal moment may exceed the sum of the other two: files give six digits."""
+"""Relative tolerance of the triangle inequality of principal moments, because files contain six digits."""
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
-    """True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
+    """Return True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
     trace = sum(inertia[:3])
     if not 0 < trace < math.inf:
         return False
     xx, yy, zz, xy, xz, yz = (value / trace for value in inertia)
-    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c where c < most.
+    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c if c < most.
     most = (1 + ROUNDING) / (2 + ROUNDING)
     return _is_positive(xx, yy, zz, xy, xz, yz) and _is_positive(most - xx, most - yy, most - zz, -xy, -xz, -yz)
 
 
 def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
-    """True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
+    """Return True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
     minor = xx * yy - xy * xy
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
@@ -107,7 +107,7 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """True if mass, centre of mass and inertia are given, so that its parts need no mass."""
+        """Return True if mass, centre of mass and inertia are given, so that the parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 

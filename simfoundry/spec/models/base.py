@@ -1,6 +1,6 @@
-"""Types that all documents share: names, numbers with units, poses, shapes and estimates."""
+"""Types shared by all documents: names, numbers with units, poses, shapes, and estimates."""
 
-# Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
+# This module and the other model modules do not postpone annotations: pydantic would compile each string at start-up.
 
 import math
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """Texts about a string pattern for editors, messages and the reference.
+    """Texts that describe a string pattern in editors, messages, and the reference.
 
-    Its name where editors offer one, its name in the reference, and the rule that a text must follow.
+    They are its placeholder in editors, its name in the reference, and the rule that a string must follow.
     """
 
     placeholder: str
@@ -43,7 +43,7 @@ PATTERNS = {
 
 Name = Annotated[str, StringConstraints(pattern=NAME, max_length=64)]
 PartName = Annotated[str, StringConstraints(pattern=PART_NAME, max_length=129)]
-"""``cabinet``, or ``cabinet.drawer``: one link of it."""
+"""``cabinet``, or ``cabinet.drawer`` for one link of it."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -51,8 +51,8 @@ Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Code = Annotated[str, StringConstraints(pattern=CODE)]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 FARTHEST = 1e6
-"""No position [m] is farther out and no size [m] larger: there single precision, in which many simulators reckon, is
-6 cm coarse."""
+"""Largest position or size [m]; at this distance, the resolution of single precision, which many simulators use, is
+6 cm."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
 Vec2 = tuple[Number, Number]
@@ -62,7 +62,7 @@ Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
 
 WORLD = "world"
-"""What formats keep for what does not move: MuJoCo calls its first body so, and readers of URDF a link."""
+"""Name that formats reserve for the static world: the first body in MuJoCo, and a link for readers of URDF."""
 Color = Annotated[
     Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
@@ -72,7 +72,7 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a text that is a file path relative to its document, so that an overlay can adjust it."""
+    """Marks a string that is a file path relative to its document, so that an overlay can adjust it."""
 
 
 FileName = Annotated[str, Reference()]
@@ -80,7 +80,7 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Marks a field with its former key; `check` names the present key, and `migrate` writes it."""
+    """Marks a field with its former key; `check` suggests the current key, and `migrate` renames it."""
 
     key: str
 
@@ -92,7 +92,7 @@ class Model(BaseModel):
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
-    """Raise a finding unless at most one (or, with ``needed``, exactly one) of the fields is given."""
+    """Raise an error unless at most one (or, with ``needed``, exactly one) of the fields is given."""
     written = model.model_fields_set
     given = [n for n in names if n in written and getattr(model, n) is not None]
     if len(given) == 1 or not (given or needed):
@@ -166,7 +166,7 @@ Quantity = Annotated[
 
 
 def quantity_value(quantity: float | Estimate | None) -> float | None:
-    """Return the plain number of a quantity."""
+    """Return a quantity as a plain number."""
     return quantity.value if isinstance(quantity, Estimate) else quantity
 
 

@@ -1,4 +1,4 @@
-"""``policy/1``: the server of a policy, and the conventions that its protocol leaves open."""
+"""``policy/1``: the server of a policy, and the conventions that its protocol does not define."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from simfoundry.runtime.plugins import Registry
 from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
-"""A key of the messages that the policy takes: ``observation/wrist_image_left``."""
+"""Key of a message to the policy, such as ``observation/wrist_image_left``."""
 
 
 def _variable(text: str) -> str:
-    """Reject a text that is no variable name, without repeating it: it may be a key."""
+    """Reject a text that is not a variable name, without repeating it, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
         message = "expected the name of an environment variable in capitals, never a key itself"
         raise PydanticCustomError("sf104", "{message}", {"message": message})
@@ -27,7 +27,7 @@ def _variable(text: str) -> str:
 
 
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
-"""An environment variable. In capitals only, so that a key that is pasted here by mistake is refused."""
+"""Name of an environment variable; only capitals are allowed, so that a key pasted by mistake is rejected."""
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
@@ -36,12 +36,12 @@ Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
 @dataclass(frozen=True)
 class PolicyProtocol:
-    """Everything that is particular to one kind of policy server; each is one module, registered once.
+    """Properties of one kind of policy server; each is one module and is registered once.
 
-    ``open`` makes a policy of a document (a :class:`~simfoundry.evaluate.policies.base.Policy`). An address starts with
-    one of ``schemes``, the first if it has none, and has ``port`` if it has none; ``has_path`` if it may have a path.
-    ``tells_state`` is False if the server says itself what it is told of the robot. ``short_form`` are the keys of the
-    document that ``NAME:ADDRESS?…`` stands for, beside those that it gives.
+    ``open`` creates a policy (a :class:`~simfoundry.evaluate.policies.base.Policy`) from a document. An address starts
+    with one of ``schemes``; the first one and ``port`` are the defaults. ``has_path`` is True if an address may have a
+    path. ``tells_state`` is False if the server itself defines the robot state that it receives. ``short_form``
+    contains the additional keys of the document that the short form ``NAME:ADDRESS?…`` stands for.
     """
 
     open: Callable[[PolicySpec], Any]
@@ -57,7 +57,7 @@ PROTOCOLS: Registry[PolicyProtocol] = Registry(
     {name: f"simfoundry.evaluate.policies.{name}:PROTOCOL" for name in ("openpi", "roboarena", "groot")},
     PolicyProtocol,
 )
-"""The protocols of policy servers by name; they are imported when a document names them."""
+"""Protocols of policy servers by name; each is imported when a document uses it."""
 
 
 def _protocol(name: str) -> str:
@@ -77,13 +77,13 @@ ProtocolName = Annotated[
     AfterValidator(_protocol),
     Field(json_schema_extra={"examples": list(PROTOCOLS.built_in)}),
 ]
-"""A protocol by name: one of ours, or one that an installed package brings."""
+"""Name of a protocol: built-in, or provided by an installed package."""
 
 _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
 
 
 def address_uri(protocol: str, address: str) -> str:
-    """Return an address in full, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
+    """Return the full form of an address, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
     schemes = known.schemes

@@ -46,7 +46,7 @@ JointPosition = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[PoseSpec, Tag("pose")],
     Discriminator(_position_tag),
 ]
-"""Where a joint is: a number, ``{deg: 30}``, or of a ball or free joint a pose from where it is at zero."""
+"""Joint position: a number, ``{deg: 30}``, or for a ball or free joint a pose relative to its zero position."""
 
 Touching = tuple[PartName, PartName]
 
@@ -54,7 +54,7 @@ Touching = tuple[PartName, PartName]
 Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
 
 DEFAULT_VARIANT = "default"
-"""The variant of an object that is the object as it is written."""
+"""Name of the variant that is the object as written."""
 
 
 class VariantSpec(BodySpec):
