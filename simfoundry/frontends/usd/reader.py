@@ -312,7 +312,7 @@ class _UsdReader:
         return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:
-        """Name an object, its links and joints after their prims; until then they have paths, because names may repeat."""
+        """Name an object, its links and joints after their prims; until then, paths are used, as names may repeat."""
         bodies = [path for path in draft.links if path in self.bodies]
         names = {"base": "base"}
         for path in bodies:
