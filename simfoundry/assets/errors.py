@@ -24,7 +24,7 @@ class MeshError(Exception):
 
 
 def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
-    """Return the fault of a mesh whose longest side is ``size`` [m], read with ``scale``; None for a plausible one."""
+    """Return the error for a mesh whose longest side is ``size`` [m] at ``scale``, or None if the size is plausible."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimetres = SMALLEST < size / 1000 < LARGEST

@@ -275,7 +275,7 @@ def _stabilise(rings: Array) -> Array:
 
 
 def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
-    """The hull of a foot and a disc, where rays from the foot's middle through its points meet it, shape (SIDES, 2)."""
+    """Points where rays from the foot's center through its points meet the hull of foot and disc, shape (SIDES, 2)."""
     from scipy.spatial import ConvexHull
 
     angle = np.arange(24) * (2 * math.pi / 24)

@@ -67,7 +67,7 @@ class RobotSpec(Model):
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; those not named are at home.")
     reach: Positive | None = Field(
-        None, description="Horizontal reach from its base [m]; default: that of the known robot."
+        None, description="Horizontal reach from its base [m]; defaults to the known robot's reach."
     )
     opening: Positive | None = Field(
         None, description="Widest opening between its fingers [m]; default: that of the known robot."

@@ -72,7 +72,7 @@ def numbered(path: str, taken: dict[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value on one short line."""
+    """Format a value as one short line."""
     if value is ABSENT:
         return "nothing"
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
