@@ -1,4 +1,5 @@
-"""Backends: each compiles a lowered scene into the files of one format, and is one folder, registered once here."""
+"""Backends: each one compiles a lowered scene into the files of one format, has its own folder and is registered
+here."""
 
 from __future__ import annotations
 
@@ -18,19 +19,19 @@ BACKENDS: Registry[Backend] = Registry(
     {name: f"simfoundry.backends.{name}:BACKEND" for name in ("mjcf", "pybullet", "urdf", "usd")},
     Backend,
 )
-"""Every backend by name; a package adds its own by an entry point."""
+"""All backends by name. An installed package adds a backend through an entry point."""
 
 
 def features_of(name: str) -> Cells:
-    """Return the fidelity of each feature in the backend called ``name``."""
+    """Return the fidelity of each feature in the backend ``name``."""
     return {**BACKENDS.load(name).features, "collision_shape": SIMPLIFIED_COLLIDERS}
 
 
 def compile_scene(scene: Scene, target: str, options: Mapping[str, float | bool | str] | None = None) -> Artifact:
-    """Compile ``scene`` with the backend called ``target``.
+    """Compile ``scene`` with the backend ``target``.
 
-    Raises :class:`~simfoundry.runtime.plugins.UnknownExtensionError`, and :class:`InvalidSceneError` for a scene that
-    uses what the backend rejects.
+    Raises :class:`~simfoundry.runtime.plugins.UnknownExtensionError` for an unknown backend and
+    :class:`InvalidSceneError` if the scene uses a feature that the backend rejects.
     """
     backend = BACKENDS.load(target)
     for name, cell in backend.features.items():

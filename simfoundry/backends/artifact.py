@@ -1,4 +1,4 @@
-"""The result of a backend: the files of one target with the losses on the way, and the text formats of numbers."""
+"""Output of a backend: the files of one target, the losses of the compile, and number formatting for text files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simfoundry.runtime.files import staged, write_file
 
 @dataclass(frozen=True)
 class Artifact:
-    """The files of one target by relative POSIX path, its entry file, and the losses of its scene."""
+    """The files of one target by relative POSIX path, its entry file, and the losses of the compile."""
 
     target: str
     entry: str
@@ -28,19 +28,19 @@ class Artifact:
 
     @property
     def manifest(self) -> bytes:
-        """``manifest.json``: the target, its entry and the SHA-256 of every file."""
+        """Return ``manifest.json``, which lists the target, its entry file and the SHA-256 of every file."""
         hashes = {path: hashlib.sha256(data).hexdigest() for path, data in sorted(self.files.items())}
         return json_text({"target": self.target, "entry": self.entry, "files": hashes})
 
     def write(self, folder: Path) -> None:
-        """Write everything below ``folder``, replacing what was there in one step: a killed write leaves the old."""
+        """Write all files below ``folder`` and replace it atomically; an interrupted write leaves the old folder."""
         with staged(folder) as staging:
             for path, data in {**self.files, "manifest.json": self.manifest}.items():
                 write_file(staging / path, data)
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Return a JSON file with a line for each key, and for each key of the mappings below it."""
+    """Return a JSON file with one line per key, and one line per key of each nested mapping."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
@@ -52,7 +52,7 @@ def _entry(key: str, value: object) -> str:
 
 
 json_string: Callable[[str], str] = json.encoder.encode_basestring
-"""Encodes a text as JSON."""
+"""Encode a string as JSON."""
 
 
 def json_line(value: object) -> str:
@@ -63,26 +63,27 @@ def json_line(value: object) -> str:
 _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
     None, None, json_string, None, ": ", ", ", False, False, True
 )
-"""The encoder that ``json.JSONEncoder(ensure_ascii=False)`` makes anew for each call, at more cost than a line."""
+"""The encoder that ``json.JSONEncoder(ensure_ascii=False)`` would construct for each call; reusing it is faster."""
 
 
-@lru_cache(maxsize=16384)  # a scene has few numbers, and each target writes them all
+@lru_cache(maxsize=16384)  # a scene has few distinct numbers, and every target writes all of them
 def number(value: float) -> str:
-    """Return a number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
+    """Format a number with twelve significant digits, so that rounding differences between CPUs do not show.
 
-    Below 1e-100, far below any quantity of a scene, it is zero: readers refuse the denormal numbers of rounding.
+    Magnitudes below 1e-100, far below any quantity in a scene, become zero because some readers reject denormal
+    numbers.
     """
     return f"{value:.12g}" if abs(value) > 1e-100 else "0"
 
 
 @lru_cache(maxsize=16384)
 def rounded(value: float) -> float:
-    """Return the number that :func:`number` writes: the last bits of a double differ between CPUs."""
+    """Return the number rounded as :func:`number` writes it; the last bits of a double differ between CPUs."""
     return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:
-    """Return the space-separated :func:`number` of each value, those of an array row by row."""
+    """Return the values formatted by :func:`number`, separated by spaces; arrays are read row by row."""
     return " ".join(map(number, values.ravel().tolist() if isinstance(values, np.ndarray) else values))
 
 

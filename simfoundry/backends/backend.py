@@ -1,4 +1,4 @@
-"""A backend: the function that compiles a scene, and the table of the features that it keeps."""
+"""A backend: the function that compiles a scene, and the table of features that it preserves."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from simfoundry.backends.features import Cells
 
 @dataclass(frozen=True)
 class Backend:
-    """A backend: ``compile(scene, **options)`` returns the files of a target; ``features`` decides on every feature.
+    """A compiler for one format: ``compile(scene, **options)`` returns an artifact; ``features`` gives each fidelity.
 
-    The parameters of ``compile`` after the scene are the options that a target's profile can set.
+    The parameters of ``compile`` after the scene are the options that a target profile can set.
     """
 
     compile: Callable[..., Artifact]

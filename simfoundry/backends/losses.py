@@ -1,4 +1,4 @@
-"""The losses of a compile: typed data from which ``loss.json`` and every report are made."""
+"""Losses of a compile: typed records from which ``loss.json`` and every report are generated."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from simfoundry.backends.features import FEATURES, Fidelity
 from simfoundry.scene.model import Scene
 
 _KEPT = "kept"
-"""The fate of a feature that a target keeps exactly."""
+"""The entry for a feature that a target preserves exactly."""
 
 _OF_ROBOTS = ("robots", "robot_motors", "robot_contacts")
-"""The features that a robot takes along where it is dropped."""
+"""The features that are lost together with a robot if the robot is dropped."""
 
 
 class Size(NamedTuple):
-    """The size of an approximation: a number with its unit, ``1`` for a ratio or a coefficient."""
+    """The size of an approximation: a value and its unit, where ``1`` means a ratio or a coefficient."""
 
     value: float
     unit: str
@@ -28,8 +28,9 @@ class Size(NamedTuple):
 class Loss:
     """A feature of the scene that a target cannot keep exactly.
 
-    ``feature`` is a key of :data:`FEATURES`; ``element`` the object, joint, collider or light that loses it, by its
-    name in the scene, empty for all that use it; ``size`` how far an approximation is off, None where unknown.
+    ``feature`` is a key of :data:`FEATURES`. ``element`` is the name in the scene of the object, joint, collider or
+    light that is affected, or empty if all users of the feature are. ``size`` is the error of an approximation, None if
+    it is unknown.
     """
 
     feature: str
@@ -40,13 +41,13 @@ class Loss:
 
     @property
     def path(self) -> str:
-        """The element and its quantity, as ``cup.friction``; for all elements the quantity alone."""
+        """The element and its quantity, such as ``cup.friction``, or only the quantity if all elements are affected."""
         words = dict.fromkeys((self.element, FEATURES[self.feature].quantity))
         return ".".join(filter(None, words)) or self.feature
 
 
 def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
-    """Return the loss of a feature that is kept inexactly, off by ``value`` in ``unit``."""
+    """Return the loss of a feature that is approximated with an error of ``value`` in ``unit``."""
     size = None if value is None else Size(float(f"{value:.3g}"), unit)
     return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
 
@@ -57,7 +58,7 @@ def drop(feature: str, element: str, reason: str) -> Loss:
 
 
 def shared_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses that lowering causes in every target: parts that are left out, and simpler colliders."""
+    """Yield the losses that lowering causes in every target, such as omitted parts and simplified colliders."""
     for part in scene.left_out:
         yield drop("robots" if part.path.startswith("robots.") else "mounted_cameras", part.path, part.reason)
     for item in scene.objects:
@@ -70,24 +71,24 @@ def shared_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def variant_losses(scene: Scene, target: str) -> Iterator[Loss]:
-    """Yield one loss for each object with variants, of a target whose files hold one variant."""
+    """Yield one loss per object with variants, for a target whose files hold only one variant."""
     for item in scene.objects:
         if item.variants:
             others = ", ".join(f"`{v.variant}`" for v in item.variants)
-            reason = f"{target} holds one variant: `{item.variant}` is written, {others} are left out."
+            reason = f"{target} holds one variant: `{item.variant}` is written; {others} are left out."
             yield drop("variants", item.name, reason)
 
 
 def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
-    """Yield the loss of a Gaussian splat in a target that draws surfaces only."""
+    """Yield the loss of a Gaussian splat in a target that draws only surfaces."""
     if scene.background is not None and scene.background.splat is not None:
-        yield drop("background_splat", "background", f"{target} draws surfaces, and a Gaussian splat has none.")
+        yield drop("background_splat", "background", f"{target} renders surfaces, and a Gaussian splat has none.")
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
-    """Count the elements that keep each feature in use, have it approximated or lose it; zeros are omitted.
+    """Count the elements that keep each used feature, have it approximated, or lose it; zeros are omitted.
 
-    Of several losses of one element the worst counts.
+    If an element has several losses, the worst one counts.
     """
     users = _users(scene)
     worst: dict[str, dict[str, Fidelity]] = {name: {} for name in users}
@@ -105,7 +106,7 @@ def _features_lost(loss: Loss) -> tuple[str, ...]:
 
 
 def _users(scene: Scene) -> Mapping[str, list[str]]:
-    """Return the users of each feature in a scene; every target asks for them."""
+    """Return the elements that use each feature of a scene; cached because every target needs them."""
     if scene not in _USERS:
         _USERS[scene] = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
     return _USERS[scene]
@@ -115,7 +116,7 @@ _USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
 
 
 def _elements(users: list[str], element: str) -> list[str]:
-    """Return the users that a loss is about: the element itself, or the one it is a part of; all if it is empty."""
+    """Return the elements that a loss affects: the element or its owner if one is named, otherwise all users."""
     if not element or element in users:
         return [element] if element else users
     return [user for user in users if element.startswith(f"{user}.")]

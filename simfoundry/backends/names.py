@@ -1,4 +1,4 @@
-"""The names of a scene, checked before they become file names, XML names and dictionary keys."""
+"""Validation of the names in a scene before they become file names, XML names and dictionary keys."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class InvalidSceneError(SimfoundryError, ValueError):
-    """A scene that no backend can write: a name that is not one, or two things with one name."""
+    """A scene that no backend can write because a name is invalid or not unique."""
 
 
 def check_names(scene: Scene) -> None:
-    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique among its kind."""
+    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique in its category."""
     if scene in _SOUND:
         return
     both = [*(o.name for o in scene.objects), *(r.name for r in scene.robots)]
@@ -31,7 +31,7 @@ def check_names(scene: Scene) -> None:
 
 
 _SOUND: WeakSet[Scene] = WeakSet()
-"""Scenes with names that are; each is asked about once for every target."""
+"""Scenes whose names are valid; the check would otherwise repeat for every target."""
 
 
 def _check_object(item: SceneObject) -> None:
@@ -49,7 +49,7 @@ def _check(where: str, kind: str, names: Iterable[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name):
             raise InvalidSceneError(
-                f"{where}: {kind} name {name!r} is not usable; start with a lower-case letter and go on with "
+                f"{where}: {kind} name {name!r} is invalid; use a lower-case letter followed by "
                 f"lower-case letters, digits and underscores"
             )
         if name in known:

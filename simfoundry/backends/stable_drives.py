@@ -1,4 +1,4 @@
-"""Drives that an engine with explicit springs can step: gains too stiff for its step are lowered."""
+"""Drive gains for engines with explicit springs: gains that are too stiff for the time step are reduced."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from simfoundry.scene.trees import trees
 
 
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> dict[str, Drive]:
-    """Return the drives of an object by joint, such that steps of ``timestep`` [s] do not diverge.
+    """Return the drives of an object by joint, limited such that time steps of ``timestep`` [s] do not diverge.
 
-    A spring alone diverges at a stiffness of 4 m / dt^2, where m is what it moves, and explicit damping at 2 m / dt; at
-    a quarter of each, both together are still stable.
+    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping at 2 m /
+    dt. At a quarter of each limit, both together are still stable.
     """
     if not any(joint.drive is not None for joint in item.joints):
         return {}
@@ -35,7 +35,7 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
 
 
 def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> Iterator[Loss]:
-    """Yield one loss for each gain that is lowered."""
+    """Yield one loss for each gain that is reduced."""
     for item in scene.objects:
         stable = stable_drives(item, timestep, implicit_damping)
         for joint in item.joints:

@@ -1,4 +1,4 @@
-"""Elements to indented XML text, for URDF and MJCF: attributes, text, children and comments."""
+"""Elements as indented XML text for URDF and MJCF: attributes, text, children and comments."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 _MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
 _ESCAPES = [(_MARKUP | _WHITE).get(chr(k), chr(k)) for k in range(128)]
-"""The text of each ASCII character; with an entry for those that stay, ``translate`` is twice as fast."""
+"""The escaped form of each ASCII character; including unchanged characters makes ``translate`` twice as fast."""
 
 
 def xml_text(root: ET.Element) -> bytes:
-    """Return the text of a tree, two spaces a level, attributes in their order; a tenth of the time of ElementTree's.
+    """Return the text of an element tree, indented by two spaces; takes a tenth of the time of ElementTree's writer.
 
-    The text of an element is written unless it is white; text between elements is not.
+    Attributes keep their order. The text of an element is written unless it is whitespace; text between elements is
+    not.
     """
     lines: list[str] = []
     _append(lines, root, "")
@@ -24,13 +25,13 @@ def xml_text(root: ET.Element) -> bytes:
     return "\n".join(lines).encode()
 
 
-@lru_cache(maxsize=16384)  # numbers and names come again and again
+@lru_cache(maxsize=16384)  # the same numbers and names occur many times
 def _escaped(value: str) -> str:
     return value.translate(_ESCAPES)
 
 
 def _append(lines: list[str], element: ET.Element, indent: str) -> None:
-    if callable(element.tag):  # a comment, whose tag is the function that makes one
+    if callable(element.tag):  # a comment; its tag is the function that creates comments
         lines.append(f"{indent}<!-- {(element.text or '').replace('--', '- -')} -->")
         return
     attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])

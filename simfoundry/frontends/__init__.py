@@ -1,1 +1,1 @@
-"""Files of other formats to specs: URDF, MJCF, USD, and the scenes and tasks of the authors' release."""
+"""Importers from other formats to specs: URDF, MJCF, USD, BDDL, and OmniGibson scenes and tasks."""

@@ -1,4 +1,4 @@
-"""Read COLLADA meshes (.dae) with pycollada: triangles with materials, placed by their scene, in metres with z up."""
+"""Read COLLADA meshes (.dae) with pycollada: triangles with materials, posed by their scene, in metres with z up."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ UP = {
 """Rotations from a file's axes to axes with z up."""
 
 MAX_NODES = 10_000
-"""Nodes that are visited: 30 nodes that each name the next one twice stand for a billion."""
+"""Largest number of visited nodes: 30 nodes that each instantiate the next one twice expand to a billion."""
 
 DECIMALS = 8
-"""Decimals of coordinates [m]: pycollada keeps single precision, whose noise at one metre begins at 1e-7."""
+"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one metre."""
 
 _BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
 
 HARMLESS = ("DaeBrokenRefError", "DaeUnsupportedError")
-"""Errors about what is not needed here: animations, cameras, lights, materials whose pictures are missing."""
+"""Errors that are ignored because the elements are not used: animations, cameras, lights, missing images."""
 
 
 def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPart, ...]:
@@ -44,14 +44,14 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
     from collada.common import DaeError
 
     try:
-        root = read_xml(path)  # refuses entities, and more elements or levels than anybody writes
+        root = read_xml(path)  # rejects entities and excessive numbers of elements or levels
         strips = next((e for tag in ("tristrips", "trifans") for e in root.walk() if e.tag == tag), None)
         if strips is not None:
             raise strips.refused(f"`<{strips.tag}>` is not read", "export plain triangles")
         data = path.read_bytes()
         document = collada.Collada(io.BytesIO(data), ignore=[DaeError])
         broken = [match[1] for e in document.errors if (match := _BROKEN_MATERIAL.search(str(e)))]
-        if broken:  # pycollada leaves out what has such a material; without it, it is there and has no colour
+        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncoloured
             bindings = b"|".join(re.escape(name.encode()) for name in broken)
             pattern = rb'<instance_material[^>]*target="#(?:%s)"[^>]*?(?:/>|>.*?</instance_material>)' % bindings
             document = collada.Collada(io.BytesIO(re.sub(pattern, b"", data, flags=re.DOTALL)), ignore=[DaeError])
@@ -62,7 +62,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
     except (ImportRefusedError, MeshError) as error:
         reason, hint = (error.reason if isinstance(error, ImportRefusedError) else error.message), error.hint
         raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", hint or "export it again") from None
-    except Exception as error:  # of pycollada, which lets those of its parsers through
+    except Exception as error:  # pycollada does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
         raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
     if not parts:
@@ -71,7 +71,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
 
 
 def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPart]:
-    """The geometries as the visual scene places them; all of them as they are where there is no scene."""
+    """Yield the geometries as posed by the visual scene, or all of them without a pose if there is no scene."""
     X_WF = np.eye(4)
     asset = document.assetInfo
     X_WF[:3, :3] = np.diag(scale) @ UP.get(asset.upaxis, np.eye(3)) * (asset.unitmeter or 1.0)
@@ -92,7 +92,7 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
 
 
 def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], path: Path) -> Iterator[MeshPart]:
-    """Each primitive of a geometry; ``materials`` are those that its symbols stand for."""
+    """Yield each primitive of a geometry; ``materials`` maps its material symbols to materials."""
     for primitive in geometry.primitives:
         if not hasattr(primitive, "triangleset") and type(primitive).__name__ != "TriangleSet":
             continue  # lines
@@ -115,7 +115,7 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
 def _appearance(
     material: Any, path: Path, has_uv: bool
 ) -> tuple[bytes | None, tuple[float, float, float, float] | None]:
-    """The PNG of the texture, if its file lies beside ``path`` and there are coordinates for it, or else the colour."""
+    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the colour."""
     from PIL import Image
 
     diffuse = None if material is None else material.effect.diffuse
@@ -130,5 +130,5 @@ def _appearance(
     try:
         with Image.open(file) as picture:
             return texture_png(file.name, picture.convert("RGB")), None
-    except OSError:  # no picture that can be read
+    except OSError:  # not a readable image
         return None, None

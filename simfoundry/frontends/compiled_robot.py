@@ -1,4 +1,4 @@
-"""Robots in files that SimFoundry compiled: read back as robots of a scene, not as machines of links."""
+"""Robots in compiled files: read back as robots of a scene rather than as objects with links."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.spec.models.robot import RobotSpec
 
 
 def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:
-    """Return a robot with the fields that differ from its model's. Raises :class:`ImportRefusedError`."""
+    """Return a robot with the fields that differ from its model; raises :class:`ImportRefusedError`."""
     try:
         spec = RobotSpec.model_validate(words)
     except ValidationError as error:

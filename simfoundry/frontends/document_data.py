@@ -1,4 +1,4 @@
-"""Values of imported documents: paths of their files, digits of their numbers, poses and colours."""
+"""Values of imported documents: file paths, rounded numbers, poses, and colours."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
 DIGITS = 9
-"""Significant digits of imported numbers: more than any simulator keeps, and no rounding noise."""
+"""Significant digits of imported numbers: more than any simulator keeps, but without rounding noise."""
 
 NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
 """Positions [m] and parts of quaternions below these are rounding noise of double precision."""
@@ -26,19 +26,19 @@ NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
 
 @dataclass
 class BuiltDocuments:
-    """Documents by file name, the asked-for one first, and other files; names are relative to its folder."""
+    """Documents by file name, the requested one first, and other files; names are relative to its folder."""
 
     documents: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     """Renamed elements: the name in the file, qualified by its body, and the name in the documents."""
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
-    """The draft of each part, by asset, link and part as the documents call them."""
+    """Draft of each part, by the names of asset, link, and part in the documents."""
 
 
 @dataclass
 class FileShelf:
-    """Files to be written into ``folder`` (relative to ``base``); those that lie below ``root`` already stay there."""
+    """Files to be written into ``folder`` (relative to ``base``), except files that are already below ``root``."""
 
     base: Path
     folder: str
@@ -67,7 +67,7 @@ class FileShelf:
 
 
 def rounded(value: Any) -> Any:
-    """Return plain data with its numbers at :data:`DIGITS` significant digits."""
+    """Return plain data with numbers rounded to :data:`DIGITS` significant digits."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") + 0.0
     if isinstance(value, dict):
@@ -81,7 +81,7 @@ def document_text(spec: Model) -> str:
 
 
 def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """Return a pose as a document writes it, with the plainest of the rotations that express it."""
+    """Return a pose as document data, with the simplest representation of its rotation."""
     out: dict[str, Any] = {}
     if np.abs(X_AB.p).max() > NO_LENGTH_M:
         out["xyz"] = tuple(X_AB.p.tolist())
@@ -98,11 +98,11 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: Rgba) -> tuple[float, ...]:
-    """Return a colour at the precision of a screen; single precision leaves noise behind that."""
+    """Return a colour rounded to display precision, which removes the noise of single precision."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
 
 def relative_path(file: Path, document: Path) -> str:
-    """Return the path of a file as a document at another path writes it."""
+    """Return the path of a file relative to a document."""
     return Path(os.path.relpath(file.resolve(), document.resolve().parent)).as_posix()

@@ -1,4 +1,4 @@
-"""Write drafts as documents: an asset for each body, or a scene that uses them, with the mesh files beside."""
+"""Convert drafts to documents: an asset for each body, or a scene that uses them, together with mesh files."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ MATERIAL_KEYS = {
 """Keys of a material by the fields of :class:`ContactDraft`."""
 
 LINK_KEYS = {"friction", "restitution"}
-"""Those of them that a link may state without a material."""
+"""Keys of contact parameters that a link may set without a material."""
 
 PLAIN_INERTIA = 1e-6
-"""Relative difference up to which an inertia counts as that of its shape; files have six digits and more."""
+"""Relative tolerance for treating an inertia as that of the shape; files have six or more digits."""
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
@@ -59,7 +59,7 @@ def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 class _SceneBuilder:
-    """A scene while it is built from a draft; ``assets`` are its asset documents by the names of their objects."""
+    """State of building a scene from a draft; ``assets`` contains its asset documents by object name."""
 
     def __init__(self, draft: ModelDraft, folder: str, base: Path, root: Path | None) -> None:
         self.draft, self.folder, self.built = draft, folder, BuiltDocuments()
@@ -95,7 +95,7 @@ class _SceneBuilder:
         return built
 
     def object_data(self, body: BodyDraft, called: str) -> Data:
-        """An object: with its own shape where it has but one, else with an asset document."""
+        """Return an object: with an inline shape if it has only one, else with an asset document."""
         inline = inline_data(body)
         if inline is not None:
             return inline
@@ -109,14 +109,14 @@ class _SceneBuilder:
         return data | _without_empty({"joints": {name: state for name, state in states.items() if state}})
 
     def link_path(self, body: str, link: str) -> str:
-        """A link as ``object.link``, or the object alone where that has no asset document."""
+        """Return ``object.link`` for a link, or only the object if it has no asset document."""
         called = self.objects[body]
         if called not in self.assets:
             return called
         return f"{called}.{list(self.assets[called].links)[self.bodies[body].link_order.index(link)]}"
 
     def no_contact(self) -> tuple[tuple[str, str], ...]:
-        """Pairs that pass through each other: whole objects where all their links do."""
+        """Return the pairs without contact: pairs of whole objects if all of their links are excluded."""
         pairs: dict[tuple[str, str], list[tuple[LinkPath, LinkPath]]] = {}
         for one, other in self.draft.no_contact:
             pairs.setdefault((one[0], other[0]), []).append((one, other))
@@ -136,7 +136,7 @@ class _SceneBuilder:
             data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
             if camera.mount is not None:
                 body, link = camera.mount
-                if body not in self.objects:  # a robot, whose frames have names of their own
+                if body not in self.objects:  # a robot, whose frames have their own names
                     data["mount"] = f"{body}.{link}" if link else body
                 else:
                     is_root = link == self.bodies[body].root
@@ -157,7 +157,7 @@ class _SceneBuilder:
 
 
 def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocuments) -> AssetSpec:
-    """The asset document of a body."""
+    """Return the asset document of a body."""
     links, joints = NameTable("link"), NameTable("joint")
     link_names = {n: links.name(n) for n in body.link_order}
     joint_names = {j.name: joints.name(j.name) for j in body.joints}
@@ -198,7 +198,7 @@ def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
 
 
 def _mass_data(link: LinkDraft) -> Data:
-    """Mass, density and inertia of a link."""
+    """Return the mass, density and inertia of a link."""
     out: Data = {}
 
     def quantity(value: float) -> Any:
@@ -219,7 +219,7 @@ def _mass_data(link: LinkDraft) -> Data:
 
 
 def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
-    """Contact parameters of all parts of a link; None where they differ, or where only a material can state them."""
+    """Return the contact parameters shared by all parts of a link; None if they differ or require a material."""
     found = [_contact_data(part, link) for part in link.colliders]
     if not found:
         return {}
@@ -228,21 +228,21 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Contact parameters of a part, or else of its link; no resistance to spinning or rolling is not written."""
+    """Return the contact parameters of a part, or else of its link; zero torsional and rolling friction is omitted."""
     contact: ContactDraft = part.contact.or_else(link.contact)
     named = ((MATERIAL_KEYS[field], value) for field, value in asdict(contact).items() if value is not None)
     return {key: float(value) for key, value in named if value or key in LINK_KEYS}
 
 
 def _material_name(data: dict[str, float], materials: Data) -> str:
-    """The name of a material with these parameters, which is added where there is none."""
+    """Return the name of a material with these parameters; the material is added if there is none."""
     name = next((n for n, known in materials.items() if known == data), f"surface_{len(materials) + 1}")
     materials[name] = data
     return name
 
 
 def part_names(link: LinkDraft) -> Iterator[str]:
-    """Yield a name for each part; none starts with that of a mesh of the same use, whose pieces are numbered."""
+    """Yield a name for each part; none starts with the name of a mesh of the same use, whose pieces are numbered."""
     taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
@@ -253,7 +253,7 @@ def part_names(link: LinkDraft) -> Iterator[str]:
 
 
 def _clash(one: tuple[str, PartDraft], other: tuple[str, PartDraft]) -> bool:
-    """Return whether two parts, or pieces of them, would share a name; visuals and colliders are named apart."""
+    """Return True if two parts, or their pieces, would share a name; visuals and colliders are named separately."""
     (short, mesh), (long, part) = sorted((one, other), key=lambda named: len(named[0]))
     alike = mesh.use == part.use or "both" in (mesh.use, part.use)
     return short == long or (alike and isinstance(mesh.geometry, MeshDraft) and long.startswith(f"{short}_"))
@@ -300,7 +300,7 @@ def _placement(body: BodyDraft) -> Data:
 
 
 def inline_data(body: BodyDraft) -> Data | None:
-    """Return a body of one shape as an object that states it; None for any other."""
+    """Return a body with one shape as an object with an inline shape; None for other bodies."""
     if body.joints or len(body.links) != 1:
         return None
     (link,) = body.links.values()
@@ -325,7 +325,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
-    """Return whether the inertia of a link is that of its one shape at uniform density."""
+    """Return True if the inertia of a link is that of its only shape at uniform density."""
     from simfoundry.scene.shape_bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)

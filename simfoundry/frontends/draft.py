@@ -1,6 +1,6 @@
-"""Drafts: bodies of links, joints and parts in SI units, between a file that is read and the documents made of it.
+"""Drafts: the intermediate form between imported files and documents, with links, joints, and parts in SI units.
 
-Drafts may be changed while a file is read; names are still those of the file.
+Drafts are mutable while a file is read, and use the names in the file.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, S
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
 LinkPath = tuple[str, str]
-"""A body and a link of it, by name."""
+"""Names of a body and of one of its links."""
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import: folders of packages by name, and whether files that exist are replaced."""
+    """Options of an import: package folders by name, and whether existing files are overwritten."""
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     force: bool = False
     scene: Path | None = None
-    """The scene document that a task is for."""
+    """Scene document of an imported task."""
     bound: Mapping[str, str] = field(default_factory=dict)
-    """Objects of that scene by the names that a task of BDDL has for them."""
+    """Objects of that scene by their names in a BDDL task."""
     density: float | None = None
-    """Density [kg/m^3] of links that state no mass; None for that of water, which simulators take."""
+    """Density [kg/m^3] of links without a mass; None for the density of water, the default of simulators."""
 
 
 DEFAULTS = ImportOptions()
 
 
 class ImportNoteKind(StrEnum):
-    """Differences between the file and the documents."""
+    """Kinds of differences between the file and the documents."""
 
     DROPPED = "dropped"
     CHANGED = "changed"
@@ -49,9 +49,10 @@ class ImportNoteKind(StrEnum):
 
 @dataclass(frozen=True)
 class ImportNote:
-    """One element that could not be taken over unchanged.
+    """Element that could not be imported unchanged.
 
-    ``what`` names it in the file, ``why`` is the same for everything of that kind, ``detail`` is that of this one.
+    ``what`` identifies it in the file, ``why`` is the reason, which is the same for all elements of that kind, and
+    ``detail`` is specific to this element.
     """
 
     kind: ImportNoteKind
@@ -66,10 +67,10 @@ class ImportNote:
 
 @dataclass(eq=False)
 class MeshDraft:
-    """A mesh file with the files that belong to it.
+    """Mesh file with its associated files.
 
-    ``files`` holds name and bytes, the mesh first; ``scale`` [m per unit]; ``source`` is the file that the first of
-    them equals, so that a document nearby may name it where it lies.
+    ``files`` contains names and bytes, the mesh first; ``scale`` is in metres per unit; ``source`` is the original file
+    if it is identical to the first one, so that a document nearby can refer to it directly.
     """
 
     files: dict[str, bytes]
@@ -79,7 +80,7 @@ class MeshDraft:
 
 @dataclass
 class ContactDraft:
-    """Contact parameters of a part or a link; None where nothing is stated. ``torsional`` and ``rolling`` in metres."""
+    """Contact parameters of a part or a link; None if unspecified. ``torsional`` and ``rolling`` are in metres."""
 
     friction: float | None = None
     restitution: float | None = None
@@ -87,14 +88,14 @@ class ContactDraft:
     rolling: float | None = None
 
     def or_else(self, other: ContactDraft) -> ContactDraft:
-        """Return the parameters of this one, or those of the other where this one says nothing."""
+        """Return these parameters, with unspecified ones taken from ``other``."""
         given = {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
         return replace(other, **given)
 
 
 @dataclass(eq=False)
 class PartDraft:
-    """A piece of a link, posed in it; ``use`` is `both`, `visual` or `collision`."""
+    """Part of a link with its pose in the link frame; ``use`` is `both`, `visual` or `collision`."""
 
     name: str
     geometry: PrimitiveShape | MeshDraft
@@ -105,16 +106,16 @@ class PartDraft:
 
     @property
     def collides(self) -> bool:
-        """Return whether the part takes part in contact."""
+        """Return True if the part is collision geometry."""
         return self.use != "visual"
 
 
 @dataclass(eq=False)
 class LinkDraft:
-    """A rigid body.
+    """Rigid body.
 
-    ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2], about the centre of mass in link axes, are None where the file
-    does not give them; ``density`` [kg/m^3] then weighs the parts.
+    ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the centre of mass, in link axes) are None if the file
+    does not specify them; the mass then follows from ``density`` [kg/m^3] and the parts.
     """
 
     name: str
@@ -126,17 +127,17 @@ class LinkDraft:
     contact: ContactDraft = field(default_factory=ContactDraft)
     collision: str = "hull"
     assumed: str = ""
-    """Author of an assumed mass or density, where the file gives none."""
+    """Author of an assumed mass or density if the file has none."""
 
     @property
     def colliders(self) -> list[PartDraft]:
-        """Return the parts that take part in contact."""
+        """Return the parts that are collision geometry."""
         return [part for part in self.parts if part.collides]
 
 
 @dataclass(eq=False)
 class MimicDraft:
-    """A joint that follows another: ``multiplier`` times its position, plus ``offset``."""
+    """Mimic joint: its position is ``multiplier`` times the position of its leader, plus ``offset``."""
 
     joint: str
     multiplier: float = 1.0
@@ -145,7 +146,7 @@ class MimicDraft:
 
 @dataclass(eq=False)
 class DriveDraft:
-    """A motor: ``stiffness`` and ``damping`` about ``target`` [rad or m], up to ``force_limit`` [N m or N]."""
+    """Joint drive: ``stiffness`` and ``damping`` about ``target`` [rad or m], up to ``force_limit`` [N m or N]."""
 
     stiffness: float = 0.0
     damping: float = 0.0
@@ -155,10 +156,10 @@ class DriveDraft:
 
 @dataclass(eq=False)
 class JointDraft:
-    """A joint at the origin of its child: ``X_PC`` the child's frame in the parent's at zero, ``axis`` in the child's.
+    """Joint at the origin of its child; ``X_PC`` is the child frame in the parent frame at zero, ``axis`` in the child.
 
-    ``type`` is one of fixed, revolute, continuous, prismatic, ball, free; ``limits`` [rad or m]; ``closed`` names the
-    limit at which it is closed, `lower` or `upper`, where the file says so.
+    ``type`` is fixed, revolute, continuous, prismatic, ball, or free; ``limits`` are in rad or m; ``closed`` is the
+    limit at which the joint is closed, `lower` or `upper`, if the file specifies it.
     """
 
     name: str
@@ -176,12 +177,12 @@ class JointDraft:
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
-    """The state of a ball or free joint: the pose of the child's frame in its frame at zero."""
+    """State of a ball or free joint: the pose of the child frame relative to its zero pose."""
 
 
 @dataclass(eq=False)
 class BodyDraft:
-    """An object of one or more links, of which ``root`` carries the others; ``X_WO`` is the pose of its frame."""
+    """Object with one or more links; ``root`` is the root link, ``X_WO`` the pose of its frame in the world."""
 
     name: str
     root: str
@@ -193,12 +194,12 @@ class BodyDraft:
     no_contact: list[tuple[str, str]] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     note: str = ""
-    """Its origin, for people and for tasks that use this name."""
+    """Note on its origin, for users and for tasks that refer to this name."""
     exact: bool = False
-    """True if its names are those of a scene, so that they come through unchanged."""
+    """True if its names are valid scene names and must be kept unchanged."""
 
     def carrier(self, link: str) -> JointDraft | None:
-        """Return the joint whose child a link is."""
+        """Return the parent joint of a link."""
         return next((j for j in self.joints if j.child == link), None)
 
     @property
@@ -209,7 +210,7 @@ class BodyDraft:
 
 @dataclass(eq=False)
 class CameraDraft:
-    """A pinhole camera: size [px], focal lengths and principal point [px], pose with OpenCV's axes."""
+    """Pinhole camera: size, focal lengths, and principal point [px]; the pose uses the OpenCV axes."""
 
     name: str
     size: tuple[int, int]
@@ -219,12 +220,12 @@ class CameraDraft:
     cx: float | None = None
     cy: float | None = None
     mount: LinkPath | None = None
-    """Body and link that carry it; its pose is then in the link's frame."""
+    """Body and link to which the camera is attached; its pose is then in the link frame."""
 
 
 @dataclass(eq=False)
 class LightDraft:
-    """A light as the language has it."""
+    """Light of a scene."""
 
     name: str
     type: str
@@ -236,7 +237,7 @@ class LightDraft:
 
 @dataclass(eq=False)
 class RobotDraft:
-    """A robot that the language knows, with the pose of its base, and the fields that differ from its defaults."""
+    """Known robot, with the pose of its base and the fields that differ from the defaults."""
 
     name: str
     model: str
@@ -246,7 +247,7 @@ class RobotDraft:
 
 @dataclass(eq=False)
 class ModelDraft:
-    """The content of one file, with ``notes`` on what the language cannot express."""
+    """Content of one file, with ``notes`` on elements that documents cannot express."""
 
     name: str
     format: str
@@ -257,32 +258,32 @@ class ModelDraft:
     gravity: tuple[float, float, float] | None = None
     relations: list[str] = field(default_factory=list)
     background: MeshDraft | None = None
-    """The visual surroundings, in the frame of the world."""
+    """Visual background, in the world frame."""
     no_contact: list[tuple[LinkPath, LinkPath]] = field(default_factory=list)
-    """Links of different bodies that pass through each other."""
+    """Pairs of links of different bodies without contact."""
     notes: list[ImportNote] = field(default_factory=list)
     density: float | None = None
-    """Density [kg/m^3] that the user gives to links without a mass; None for that of the format."""
+    """Density [kg/m^3] that the user sets for links without a mass; None for the default of the format."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
-        """Note something that is left out."""
+        """Record an element that is omitted."""
         self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
     def changed(self, what: str, why: str, detail: str = "") -> None:
-        """Note something that is expressed in another way than in the file."""
+        """Record an element that is expressed differently than in the file."""
         self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
 
     def assumed(self, what: str, why: str, detail: str = "") -> None:
-        """Note something that the file does not say, with the value taken for it."""
+        """Record a value that the file does not specify and that is assumed."""
         self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
 
     def free_name(self, wish: str) -> str:
-        """Return a name for another body: the wish, with a number behind it where a body has that name."""
+        """Return a name for another body: ``wish``, with a number appended if a body already has that name."""
         return free_name(wish, {body.name for body in self.bodies})
 
 
 def free_name(wish: str, taken: set[str] | list[str]) -> str:
-    """Return the wish, with a number behind it where the name is taken; the first of several stays without one."""
+    """Return ``wish``, with a number appended if the name is taken."""
     name, count = wish, 1
     while name in taken:
         count += 1

@@ -1,4 +1,4 @@
-"""Refusals of files that cannot be imported, and faults of an importer itself as such refusals."""
+"""Errors for files that cannot be imported, including internal errors of an importer."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 
 LONGEST_MESSAGE = 200
-"""Characters of a library's error that are shown: some print whole arrays."""
+"""Longest part of a library's error message that is shown [characters]; some print whole arrays."""
 
 MAX_BYTES = 50_000_000
-"""Larger files are not searched for a line: it is no help among a million others."""
+"""Largest file [bytes] that is searched for a line number."""
 
 
 class ImportRefusedError(SimfoundryError):
-    """A file that cannot be imported: the place, the reason, and the remedy."""
+    """Error for a file that cannot be imported, with location, reason, and remedy."""
 
     def __init__(self, file: Path | str, message: str, line: int = 0, hint: str = "") -> None:
         place = f"{file}:{line}" if line else str(file)
@@ -36,18 +36,18 @@ class ImportRefusedError(SimfoundryError):
 
 @contextmanager
 def refusing_faults(file: Path) -> Iterator[None]:
-    """Turn an error that nobody foresaw while ``file`` is imported into a refusal of it.
+    """Convert unexpected errors during the import of ``file`` to :class:`ImportRefusedError`.
 
-    Errors that explain themselves pass, and so do those of the operating system.
+    Errors of SimFoundry and of the operating system are passed through.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers that overflow are refused where they are used
+        with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported where the numbers are used
             yield
     except (SimfoundryError, SpecError, ModuleNotFoundError):
         raise
     except MeshError as error:
         raise ImportRefusedError(file, str(error), _line(file, error), error.hint) from error
-    except ValidationError as error:  # documents state the values of the file unchanged, and refuse some
+    except ValidationError as error:  # values of the file are copied unchanged and may be invalid in a document
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot hold that: {first['msg']}"
@@ -62,14 +62,14 @@ def refusing_faults(file: Path) -> Iterator[None]:
 
 
 def _place(error: Exception) -> str:
-    """The line of simfoundry at which an error arose."""
+    """Return the line of SimFoundry code that raised an error."""
     root = Path(simfoundry.__file__).parent
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
     return f", at {Path(frames[-1].filename).relative_to(root).as_posix()}:{frames[-1].lineno}" if frames else ""
 
 
 def _line(file: Path, error: Exception) -> int:
-    """The line of ``file`` that was being read: of an element at hand, else of something that is named; 0 for none."""
+    """Return the line of ``file`` that was being read: of the current element, else of a named one; 0 if unknown."""
     from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
     from simfoundry.frontends.xmltree import Element
 

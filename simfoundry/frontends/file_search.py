@@ -1,4 +1,4 @@
-"""Search for the files that an imported file names: in its folder or its packages, and nowhere else."""
+"""Search for the files that an imported file refers to, only in its folder and its packages."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from urllib.parse import unquote
 from simfoundry.frontends.errors import ImportRefusedError
 
 MAX_FILE_BYTES = 500_000_000
-"""Larger files are no meshes or textures of a scene, and would fill the memory while they are read."""
+"""Largest file size [bytes], which bounds memory use; meshes and textures of scenes are smaller."""
 
 LEVELS = 5
-"""Folders upward in which a package is looked for: ROS nests share/package/robots/name/urdf."""
+"""Number of parent folders that are searched for a package: ROS nests share/package/robots/name/urdf."""
 
 MAX_REFERENCE = 1000
-"""Characters of a reference: file systems allow fewer."""
+"""Longest reference [characters]; file systems allow fewer."""
 
 _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 
 
 class NotFoundError(Exception):
-    """The reason why a file that another names is not available, as the end of a sentence."""
+    """Error with the reason why a referenced file is not available, as the end of a sentence."""
 
 
 @dataclass(frozen=True)
 class FileSearch:
-    """Files that ``file`` names: below ``root``, or in the folder of one of ``packages``."""
+    """Looks up files that ``file`` refers to, below ``root`` or in the folder of one of ``packages``."""
 
     file: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def root(self) -> Path:
-        """The folder that everything must lie below: the package that the file belongs to, or one folder up."""
+        """Return the folder that must contain all files: the package of the file, or its parent folder."""
         folder = self.file.resolve().parent
         for candidate in (folder, *folder.parents[:LEVELS]):
             if any((candidate / mark).exists() for mark in ("package.xml", ".git", "simfoundry.yaml")):
@@ -43,7 +43,7 @@ class FileSearch:
         return folder.parent if folder.parent != Path(folder.anchor) else folder
 
     def find(self, reference: str, folder: Path | None = None) -> Path:
-        """Return the file of a reference, looked for in ``folder`` (by default the file's own).
+        """Return the file of a reference relative to ``folder`` (by default the folder of the file).
 
         Raises :class:`NotFoundError`.
         """
@@ -72,7 +72,7 @@ class FileSearch:
         raise NotFoundError("does not exist")
 
     def need(self, reference: str, file: Path, line: int, folder: Path | None = None) -> Path:
-        """Return the file of a reference at a line of ``file``; raises :class:`ImportRefusedError` there."""
+        """Return the file of a reference on a line of ``file``; raises :class:`ImportRefusedError` with that line."""
         try:
             return self.find(reference, folder)
         except NotFoundError as error:
@@ -84,7 +84,7 @@ class FileSearch:
         yield from ((place / reference, place) for place in self.packages.values())
 
     def _in_package(self, path: str) -> Iterator[tuple[Path, Path]]:
-        """Candidates for ``package://NAME/REST``: named packages, then folders upward, then without any name."""
+        """Yield candidates for ``package://NAME/REST``: named packages, then parent folders, then without the name."""
         path = path.lstrip("/")
         name, _, rest = path.partition("/")
         if name in ("", ".", ".."):
@@ -103,5 +103,5 @@ class FileSearch:
 
 
 def missing_file(file: Path, line: int, reference: str, error: NotFoundError) -> ImportRefusedError:
-    """Return the refusal of a file that names another, which is not available."""
+    """Return the error for a file that refers to an unavailable file."""
     return ImportRefusedError(file, f"`{reference[:120]}` {error}", line)

@@ -1,4 +1,4 @@
-"""Import one file: read it, check the documents by lowering them, and put them in place in one step."""
+"""Import one file: read it, validate the documents by lowering them, and move them into place atomically."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 SCENE, ASSET, TASK = ".scene.yaml", ".asset.yaml", ".task.yaml"
 
 ATTEMPTS = 3
-"""Attempts at leaving out parts until a draft lowers: flat colliders first, then what only they held up."""
+"""Number of attempts to lower a draft; each failed attempt omits invalid parts, such as flat colliders."""
 
 
 @dataclass(frozen=True)
 class ImportReport:
-    """The result of one file: its document and the differences from the file; or, in ``error``, why it was refused."""
+    """Result for one file: its document and the differences from the file, or the reason for failure in ``error``."""
 
     source: str
     out: str | None
@@ -48,7 +48,7 @@ class ImportReport:
     more: tuple[str, ...] = ()
     error: str = ""
     assumed_masses: Mapping[str, float] = field(default_factory=dict)
-    """Masses [kg] of links that move and state none, at the density of water, by `object.link`."""
+    """Masses [kg] of moving links without a mass, computed from the density of water, by `object.link`."""
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for ``--json``."""
@@ -67,9 +67,8 @@ class ImportReport:
 def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> ImportReport:
     """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with its meshes in NAME_files beside it.
 
-    Raises :class:`ImportRefusedError` for a file that cannot be imported, whatever goes wrong with it, and
-    :class:`OutputError` where something would be lost. Documents that are written lower without an error; else
-    nothing is written.
+    Raises :class:`ImportRefusedError` for a file that cannot be imported for any reason, and :class:`OutputError` if
+    existing files would be lost. Documents are only written if they can be lowered without errors.
     """
     with refusing_faults(path):
         if path.suffix.lower() in TASK_FRONTENDS:
@@ -113,7 +112,7 @@ def _refuse_existing(options: ImportOptions, *places: Path) -> None:
 
 
 def _import_task(path: Path, out: Path, options: ImportOptions) -> ImportReport:
-    """Import a task of the release, of LIBERO or of BEHAVIOR."""
+    """Import a task of OmniGibson, LIBERO or BEHAVIOR."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load, load_kind
@@ -143,7 +142,7 @@ def _import_task(path: Path, out: Path, options: ImportOptions) -> ImportReport:
 
 
 def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) -> tuple[BuiltDocuments, Scene | None]:
-    """Write everything beside its place, check it there, and move it; return the documents and the lowered scene."""
+    """Write to a temporary folder, check the result, and move it; return the documents and the lowered scene."""
     name, root = out.name.removesuffix(kind), project_root(out)
     marked = root if any((root / mark).exists() for mark in (".git", "simfoundry.yaml")) else None
     build = build_asset if kind == ASSET else build_scene
@@ -171,7 +170,7 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
 
 
 def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
-    """The lowered scene of a written document, or the errors that were found by lowering it."""
+    """Return the lowered scene of a written document, and the errors found while lowering it."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -187,7 +186,7 @@ def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, lis
 
 
 def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | None) -> dict[str, float]:
-    """Masses [kg] of links that state none and move, by `object.link`, or by link where there is one object."""
+    """Return the masses [kg] of moving links without a mass, by `object.link`, or by link for a single object."""
     out: dict[str, float] = {}
     if scene is None:
         return out
@@ -203,7 +202,7 @@ def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | Non
 
 
 def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Diagnostic], source: Path) -> bool:
-    """Leave out flat colliders and visuals that cannot be shown; return whether there was any."""
+    """Omit flat colliders and visuals that cannot be rendered; return True if there were any."""
     from simfoundry.frontends.mass_repair import repair_masses
 
     mended = False

@@ -9,7 +9,7 @@ from typing import Any
 from simfoundry.frontends.errors import ImportRefusedError
 
 MAX_BYTES = 100_000_000
-"""Scenes of the release have up to 3 MB; more than this is no scene, and fills the memory when it is decoded."""
+"""Largest file size [bytes], which bounds memory use; OmniGibson scenes have up to 3 MB."""
 
 
 def read_json(path: Path) -> Any:

@@ -1,4 +1,4 @@
-"""Masses that simulators accept: massless frames join their neighbours, and every link gets a sound inertia."""
+"""Repair masses for simulators: merge massless frames into their neighbours, and make every inertia valid."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import Array
 
 WATER_DENSITY = 1000.0
-"""Density [kg/m^3] of links without a mass, as MuJoCo and UsdPhysics take it."""
+"""Density [kg/m^3] of links without a mass, the default of MuJoCo and UsdPhysics."""
 
 WIDEST_GYRATION = 2.0
-"""Radius of gyration [m] above which an inertia is a mistake of units: nothing on or around a table is so large. In
-MJCF it is taken: MuJoCo accepts such inertias, and models use them to keep a body from turning."""
+"""Radius of gyration [m] above which an inertia is treated as a unit error: tabletop objects are smaller. MJCF is
+exempt: MuJoCo accepts such inertias, and models use them to keep a body from rotating."""
 
 FEATHER_SHARE = 1e-7
-"""Mass of a link that only joins two joints, as a share of what it carries: less than single precision resolves."""
+"""Mass of a link that only connects two joints, relative to the mass it supports: below single precision."""
 
 LIGHTEST_FEATHER = 1e-12
-"""Least mass [kg] of such a link: MuJoCo refuses bodies below 1e-15 kg or kg m^2, others divide by it."""
+"""Smallest mass [kg] of such a link: MuJoCo rejects bodies below 1e-15 kg or kg m^2, others divide by the mass."""
 
 LEAST_INERTIA = 1e-14
-"""Least moment of inertia [kg m^2] given to a link, ten times what MuJoCo needs."""
+"""Smallest moment of inertia [kg m^2] assigned to a link, ten times the minimum of MuJoCo."""
 
 ROUNDING = 0.01
-"""Share by which moments may miss the triangle inequality through rounding: files of two digits exist."""
+"""Relative violation of the triangle inequality that is treated as rounding: some files have two digits."""
 
 INSIDE_LIMITS = 1e-6
-"""Distance of a corrected position from its limit, as a share of the range: on the limit it might be rounded past."""
+"""Distance of a corrected position from its limit, relative to the range, so that rounding cannot exceed the limit."""
 
 WORLD_NAMES = ("world", "map", "universe")
-"""Names of a root link that stand for the world."""
+"""Names of a root link that represent the world."""
 
 
 def repair_masses(draft: ModelDraft, file: str) -> None:
-    """Give every link of every body a mass and an inertia that simulators accept; changes are noted.
+    """Give every link of every body a mass and an inertia that simulators accept, and record the changes.
 
-    Joints that start beyond a limit start at it. Raises :class:`ImportRefusedError` for a link without any mass.
+    Joint positions beyond a limit are moved to it. Raises :class:`ImportRefusedError` for a link without any mass.
     """
     for body in draft.bodies:
         for joint in body.joints:
@@ -70,7 +70,7 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
 
 
 def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
-    """Join links without a mass to their neighbours at fixed joints."""
+    """Merge links without a mass into their neighbours at fixed joints."""
     for link in list(body.links.values()):
         if link.mass or link.density is not None:
             continue
@@ -88,7 +88,7 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
 
 
 def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraft) -> None:
-    """Make a child without a mass a part of its parent."""
+    """Merge a child without a mass into its parent."""
     _join_exclusions(draft, body, parent, child)
     for part in child.parts:
         part.X_LG = joint.X_PC @ part.X_LG
@@ -99,9 +99,9 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
 
 
 def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
-    """Let the excluded pairs name ``parent`` in place of ``child``, as far as that means the same.
+    """Replace ``child`` by ``parent`` in the excluded pairs if the meaning stays the same.
 
-    A pair excludes all contact of a link, so it cannot speak of the shapes of one of two that are joined.
+    A pair excludes all contact of a link, so it cannot refer to the shapes of only one of two merged links.
     """
     old, new = (body.name, child.name), (body.name, parent.name)
     pairs = [((body.name, a), (body.name, b)) for a, b in body.no_contact] + draft.no_contact
@@ -124,7 +124,7 @@ def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, chil
 
 
 def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
-    """Give a frame without a mass or shape the content of a link fixed to it, so that the frame stays in its place."""
+    """Move the content of a link fixed to a frame without mass or shape into the frame, which keeps its pose."""
     child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts, frame.mass, frame.contact = child.parts, child.mass, child.contact
     for part in frame.parts:
@@ -149,7 +149,7 @@ def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: J
 
 
 def _remove_link(draft: ModelDraft, body: BodyDraft, old: str, new: str, joint: JointDraft) -> None:
-    """Remove a link and its joint; joints and cameras on it go to another, in which its frame stands as the joint."""
+    """Remove a link and its joint; move its joints and cameras to link ``new``, using the pose of the joint."""
     body.joints.remove(joint)
     del body.links[old]
     for below in body.joints:
@@ -161,7 +161,7 @@ def _remove_link(draft: ModelDraft, body: BodyDraft, old: str, new: str, joint: 
 
 
 def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str) -> None:
-    """Assume a mass for a link that states none."""
+    """Assume a mass for a link without one."""
     is_root = link.name == body.root
     if is_root and (link.mass == 0 or link.name.lower() in WORLD_NAMES):
         body.fixed = True
@@ -185,9 +185,10 @@ def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str)
 
 
 def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bool = False) -> None:
-    """Weigh a link without a mass by the user's density, or else by that of water; of static links nothing is noted.
+    """Compute the mass of a link without one from the user's density, or else from that of water.
 
-    Only the latter is an assumption of the importer, which is warned about.
+    Only the density of water is an assumption of the importer that causes a warning; nothing is recorded for static
+    links.
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
     if not is_static:
@@ -196,21 +197,21 @@ def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bo
 
 
 def _mass_below(body: BodyDraft, link: str) -> float:
-    """The known mass [kg] of everything that a link carries."""
+    """Return the known mass [kg] of all descendants of a link."""
     carried = [joint.child for joint in body.joints if joint.parent == link]
     return sum((body.links[child].mass or 0.0) + _mass_below(body, child) for child in carried)
 
 
 def feather_link(name: str, carried: float) -> LinkDraft:
-    """Return a link between two joints that is too light to matter beside what it carries [kg]."""
+    """Return a link between two joints whose mass is negligible compared to the mass ``carried`` [kg]."""
     mass = max(LIGHTEST_FEATHER, FEATHER_SHARE * carried)
     return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball_inertia(mass), assumed="import")
 
 
 def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None:
-    """Replace an inertia that no body has by that of the shapes; round up one that misses by rounding.
+    """Replace an impossible inertia by that of the shapes, or correct it if it is invalid only because of rounding.
 
-    None at all is that of a point, where a fixed joint makes the link one with another.
+    A missing inertia counts as that of a point mass if a fixed joint connects the link to another.
     """
     assert link.mass is not None
     what = f"inertia of `{link.name}`"
@@ -219,7 +220,7 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
             _assume_ball(draft, link, "none is given")
         return
     link.inertia = link.inertia / 2 + link.inertia.T / 2
-    is_finite = bool(np.isfinite(link.inertia).all())  # numbers of 1e308 overflow where they are turned
+    is_finite = bool(np.isfinite(link.inertia).all())  # numbers of 1e308 overflow when rotated
     moments = np.linalg.eigvalsh(link.inertia) if is_finite else np.full(3, np.nan)
     excess = float(moments[2] - moments[0] - moments[1])
     detail = f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2"
@@ -252,6 +253,6 @@ def _assume_ball(draft: ModelDraft, link: LinkDraft, reason: str, detail: str = 
 
 
 def ball_inertia(mass: float) -> Array:
-    """Return the inertia [kg m^2] of a ball of water of a mass [kg], or the least that there may be."""
+    """Return the inertia [kg m^2] of a ball of water with a mass [kg], or the smallest allowed inertia."""
     radius = (3 * mass / (4 * math.pi * WATER_DENSITY)) ** (1 / 3)
     return np.diag([max(0.4 * mass * radius**2, LEAST_INERTIA)] * 3)

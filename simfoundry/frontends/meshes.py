@@ -1,4 +1,4 @@
-"""Mesh files: copied where the language reads them, else written anew as OBJ; and the groups of an OBJ apart."""
+"""Mesh files of imports: copied if documents support the format, else converted to OBJ; OBJ groups can be split."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ Scale = tuple[float, float, float]
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")
 
 EVEN_SCALE = 1e-12
-"""Relative difference up to which scales count as one: rounding of double precision."""
+"""Relative tolerance for equal scales: rounding of double precision."""
 
 _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
-"""Starts of lines at which Bullet's reader (tiny_obj_loader.cpp) starts a shape of its own; a bare `g` is none."""
+"""Line prefixes at which Bullet's reader (tiny_obj_loader.cpp) starts a new shape; a bare `g` does not."""
 
 
 def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
-    """Return a mesh file at a scale [m per unit]: copied if the language can express that, else baked into an OBJ.
+    """Return a mesh file at a scale [m per unit]: copied if documents can express the scale, else baked into an OBJ.
 
     Raises :class:`MeshError`.
     """
@@ -49,7 +49,7 @@ def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
 
 
 def mesh_width(mesh: MeshDraft) -> float:
-    """Return the longest side of a mesh's bounds [m]; 0 if it cannot be read, which is reported where it is used."""
+    """Return the longest side of a mesh's bounding box [m]; 0 if it cannot be read, which is reported later."""
     name, data = next(iter(mesh.files.items()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -61,14 +61,14 @@ def mesh_width(mesh: MeshDraft) -> float:
 
 
 def _file_name(path: Path) -> str:
-    """The name of a file unchanged if every format can hold it; else a plain one."""
+    """Return the name of a file, simplified if some format does not support it."""
     name = path.name
     simple = name.isascii() and name.replace("_", "").replace("-", "").replace(".", "").isalnum()
     return name if simple else f"{plain_name(path.stem, 'mesh')}{path.suffix.lower()}"
 
 
 def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> None:
-    """Add the material libraries of an OBJ, and their textures, under the names that the files use."""
+    """Add the material libraries of an OBJ and their textures, under the names that the files use."""
     for name in _names_after(files[next(iter(files))], "mtllib"):
         found = _beside(name, path.parent, search)
         if found is None or "/" in name or "\\" in name or name in files:
@@ -81,7 +81,7 @@ def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> N
 
 
 def _names_after(data: bytes, keyword: str) -> list[str]:
-    """The rest of each line of an OBJ or MTL file that starts with a keyword."""
+    """Return the rest of each line of an OBJ or MTL file that starts with a keyword."""
     lines = (line.decode("utf-8", "replace").strip().partition(" ") for line in data.splitlines())
     return [rest.strip() for word, _, rest in lines if word.lower() == keyword and rest.strip()]
 
@@ -94,7 +94,7 @@ def _beside(name: str, folder: Path, search: FileSearch) -> Path | None:
 
 
 def _baked(path: Path, scale: Scale) -> MeshDraft:
-    """The mesh as an OBJ in metres."""
+    """Return the mesh as an OBJ in metres."""
     if path.suffix.lower() == ".dae":
         from simfoundry.frontends.collada import read_collada
 
@@ -107,7 +107,7 @@ def _baked(path: Path, scale: Scale) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return an OBJ in metres with a material for each part that has a colour or texture of its own."""
+    """Return an OBJ in metres with a material for each part that has its own colour or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
@@ -157,10 +157,10 @@ Groups = list[tuple[str, list[tuple[int, int, int]]]]
 
 
 def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
-    """Return a mesh [m] for each group of an OBJ that has several, by the group's name; none for any other file.
+    """Return a mesh [m] for each group of an OBJ with several groups, by group name; empty for any other file.
 
-    PyBullet makes a convex hull of each where a URDF collides with it. What is wrong with an OBJ is for the reader of
-    meshes to report.
+    PyBullet creates one convex hull per group for collision meshes of a URDF. Errors in an OBJ are reported by the mesh
+    reader.
     """
     data = path.read_bytes() if path.suffix.lower() == ".obj" else b""
     if not _GROUP.search(data):
@@ -182,7 +182,7 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
 
 
 def _groups(text: str) -> tuple[list[list[float]], Groups]:
-    """Vertices and, by group, triangles of an OBJ; groups without faces are left out."""
+    """Return the vertices and the triangles by group of an OBJ; groups without faces are omitted."""
     points: list[list[float]] = []
     groups: Groups = [("", [])]
     for words in filter(None, map(str.split, text.splitlines())):
@@ -197,7 +197,7 @@ def _groups(text: str) -> tuple[list[list[float]], Groups]:
 
 
 def _vertex(word: str, count: int) -> int:
-    """The index of the vertex that a corner names, from 1 or, where it is negative, from the last before it."""
+    """Return the vertex index of a face corner, which counts from 1 or, if negative, back from the last vertex."""
     number = int(word.partition("/")[0])
     index = number - 1 if number > 0 else count + number
     if not 0 <= index < count:

@@ -1,1 +1,1 @@
-"""Pictures of scenes without a display."""
+"""Rendering of scenes without a display."""

@@ -1,4 +1,4 @@
-"""Which driver draws: found out once, without spoiling the process for the other."""
+"""Choice of the GL driver, made once by a trial in another process so that this one can still use either."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Engine(StrEnum):
 
 
 class RenderError(SimfoundryError):
-    """A picture cannot be drawn as asked; the message says why and what to do."""
+    """An image that cannot be rendered as requested; the message states the reason and the remedy."""
 
 
 def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
-    """The engine that draws when ``engine`` is asked for. Raises :class:`RenderError` if it does not work here."""
+    """Return the engine to use for the requested ``engine``. Raises :class:`RenderError` if it does not work here."""
     try:
         wanted = Engine(engine)
     except ValueError:
@@ -49,12 +49,12 @@ def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
 
 
 def working_drivers() -> list[str]:
-    """The GL drivers that MuJoCo can draw with here."""
+    """Return the GL drivers that MuJoCo can use on this machine."""
     return [engine.value for engine in (Engine.EGL, Engine.OSMESA) if _obstacle(engine) is None]
 
 
 def _obstacle(engine: Engine) -> str | None:
-    """The reason why MuJoCo cannot draw with this driver in this process; None if it can."""
+    """Return the reason why MuJoCo cannot use this driver in this process; None if it can."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     if platform not in ("", engine.value):  # PyOpenGL binds to one driver for the life of a process
         return f"this process has already chosen the GL driver {platform!r}"
@@ -63,7 +63,7 @@ def _obstacle(engine: Engine) -> str | None:
 
 @cache
 def _probe(engine: Engine) -> str | None:
-    """Try the driver in a process of its own: a failed attempt would spoil this one for the other driver."""
+    """Try the driver in a separate process, because a failed attempt would rule out the other driver in this one."""
     own = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE.format(engine=engine.value)]
     try:

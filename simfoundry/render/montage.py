@@ -1,4 +1,4 @@
-"""Pictures beside and over each other, with captions, for reports and documentation."""
+"""Montages of images side by side and as overlays, with captions, for reports and documentation."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.runtime.outputs import MARK
 
 Image = NDArray[np.uint8]
-"""An sRGB picture, uint8, shape (h, w, 3)."""
+"""An sRGB image, uint8, shape (h, w, 3)."""
 
 PAPER = (255, 255, 255)
 INK = (38, 42, 48)
 
 
 def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None, columns: int | None = None) -> Image:
-    """Panels ``(caption, picture)`` in rows of ``columns`` (by default all in one), each with its caption above it.
+    """Arrange panels ``(caption, image)`` in rows of ``columns`` (by default in one row), each below its caption.
 
-    All pictures get one height [px], by default that of the lowest, and keep their proportions.
+    All images are scaled to one height [px], by default the smallest, and keep their aspect ratios.
     """
     if not panels:
-        raise ValueError("a comparison needs at least one picture")
+        raise ValueError("a montage needs at least one picture")
     row_height = min(image.shape[0] for _, image in panels) if height is None else height
     per_row = len(panels) if columns is None else max(1, columns)
     cells = [_captioned(caption, _scaled(image, row_height)) for caption, image in panels]
@@ -41,12 +41,12 @@ def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None,
 
 
 def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Image:
-    """``color`` with every object of ``objects`` (h, w; 0 is none) tinted by ``alpha`` and outlined in its own colour.
+    """Tint every object of ``objects`` (h, w; 0 is none) in ``color`` by ``alpha``, and outline it in its own color.
 
-    An object's colour depends on its number alone, so it stays the same from picture to picture.
+    The color of an object depends only on its label, so it is the same in every image.
     """
     if objects.shape != color.shape[:2]:
-        raise ValueError(f"the labels are {objects.shape}, the picture is {color.shape[:2]}: they must agree")
+        raise ValueError(f"the labels have shape {objects.shape} and the picture {color.shape[:2]}; they must be equal")
     labels, index = np.unique(objects, return_inverse=True)
     palette = np.array([label_color(int(k)) if k > 0 else (0, 0, 0) for k in labels], dtype=np.float64)
     tint = palette[index.reshape(objects.shape)]
@@ -58,13 +58,13 @@ def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Im
 
 
 def label_color(label: int) -> tuple[int, int, int]:
-    """A bright colour for a positive label; consecutive labels are far apart on the colour circle."""
+    """Return a bright color for a positive label; consecutive labels are far apart on the color wheel."""
     r, g, b = colorsys.hsv_to_rgb((label * 0.6180339887) % 1.0, 0.72 + 0.2 * (label % 2), 0.95)
     return round(255 * r), round(255 * g), round(255 * b)
 
 
 def png_bytes(image: Image) -> bytes:
-    """The picture as a PNG; the same picture gives the same bytes."""
+    """Encode an image as PNG; equal images give equal bytes."""
     from PIL import Image as Pillow
     from PIL.PngImagePlugin import PngInfo
 
@@ -75,12 +75,12 @@ def png_bytes(image: Image) -> bytes:
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write :func:`png_bytes` to ``path``; its folder is made."""
+    """Write :func:`png_bytes` to ``path``; create its folder if necessary."""
     write_atomically(path, png_bytes(image))
 
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Pixels of an object that touch, sideways or up or down, a pixel of something else."""
+    """Mark the pixels of an object that have a horizontal or vertical neighbor with another label."""
     differs = np.zeros(objects.shape, dtype=np.bool_)
     down, across = objects[1:] != objects[:-1], objects[:, 1:] != objects[:, :-1]
     differs[1:] |= down
@@ -91,7 +91,7 @@ def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _captioned(caption: str, image: Image) -> Image:
-    """The picture under a line of text, made smaller if it would not fit the width."""
+    """Return the image below a line of text, which is scaled down if it exceeds the width."""
     from PIL import Image as Pillow
     from PIL import ImageDraw, ImageFont
 
@@ -121,7 +121,7 @@ def _blank(height: int, width: int) -> Image:
 
 
 def _joined(images: Sequence[Image], gap: int, axis: int) -> Image:
-    """Images one after the other with a gap between; all must agree in the other dimension."""
+    """Join images along an axis with a gap between them; their other dimensions must be equal."""
     parts: list[Image] = []
     for image in images:
         if parts and gap:

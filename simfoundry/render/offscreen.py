@@ -1,4 +1,4 @@
-"""MuJoCo models as pictures, off-screen, with the exact intrinsics of our cameras."""
+"""Offscreen rendering of MuJoCo models with exact camera intrinsics."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 Image = NDArray[np.uint8]
 
 VISUAL_GROUP = 2
-"""The geom group of visuals in the MJCF backend; nothing else is drawn."""
+"""The geom group of visuals in the MJCF backend; no other group is drawn."""
 
 QUICK_SHADOW, FINE = 1024, 2
-"""Quick pictures: pixels of a shadow map along each side, and pixels for each one that is shown, along each side."""
+"""Quick images: shadow map resolution, and rendered pixels per image pixel, both along each side."""
 
 NEAR, FAR = 0.01, 100.0
-"""Clipping distances [m]."""
+"""Near and far clipping distances [m]."""
 
 BACKDROP_EMISSION = 1e3
-"""How strongly the backdrop lights itself: so much that no light of the scene changes its colour."""
+"""Emission of the backdrop, high enough that no light in the scene changes its color."""
 
 
 class MujocoRenderer:
-    """Draws one MuJoCo model off-screen; close it, or use it in a ``with`` statement.
+    """Offscreen renderer of one MuJoCo model; close it, or use it in a ``with`` statement.
 
-    ``width`` and ``height`` [px] are the largest picture it will draw. A ``quick`` one draws small pictures in a third
-    of the time on a processor: meshes without what such a picture does not show (:mod:`simfoundry.render.simplify`),
-    smaller shadow maps, and four pixels for one in place of the driver's multisampling.
+    ``width`` and ``height`` [px] are the maximum image size. A ``quick`` renderer draws small images in a third of the
+    time on a CPU, with simplified meshes (:mod:`simfoundry.render.simplify`), smaller shadow maps, and four rendered
+    pixels per image pixel in place of the driver's multisampling.
     """
 
     def __init__(
@@ -70,15 +70,15 @@ class MujocoRenderer:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the largest picture that it draws [px]."""
+        """Maximum width and height of an image [px]."""
         return self._size
 
     def holds(self, width: int, height: int) -> bool:
-        """Return True if a picture of this size can be drawn."""
+        """Return true if an image of this size can be drawn."""
         return width <= self._size[0] and height <= self._size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
-        """The picture of ``camera``: sRGB, uint8, shape (h, w, 3)."""
+        """Return the image of ``camera``: sRGB, uint8, shape (h, w, 3)."""
         picture = self._draw(data, camera, self._fine)
         if self._fine == 1:
             return picture
@@ -87,7 +87,7 @@ class MujocoRenderer:
         return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
-        """The geom at each pixel, shape (h, w): 0 for none, else 1 + the geom's id."""
+        """Return the geom at each pixel, shape (h, w): 0 for none, otherwise 1 + the geom id."""
         import mujoco
 
         flags = self._scene.flags
@@ -104,13 +104,13 @@ class MujocoRenderer:
         return np.asarray(geom[np.where(drawn < len(geom), drawn, 0)], dtype=np.int32)
 
     def _draw(self, data: mujoco.MjData, camera: Camera, fine: int = 1) -> Image:
-        """The picture with ``fine`` pixels for each, along both sides."""
+        """Render with ``fine`` pixels per image pixel along each side."""
         import mujoco
 
         if camera.width > self._size[0] or camera.height > self._size[1]:
             raise RenderError(
-                f"camera {camera.name!r} is {camera.width}x{camera.height}, the renderer was made for "
-                f"{self._size[0]}x{self._size[1]}: make it with the size of the largest camera"
+                f"camera {camera.name!r} is {camera.width}x{camera.height}, but the renderer was created for "
+                f"{self._size[0]}x{self._size[1]}; create it with the size of the largest camera"
             )
         self._gl.make_current()
         free = mujoco.MjvCamera()
@@ -130,13 +130,13 @@ class MujocoRenderer:
         return np.ascontiguousarray(picture[::-1])  # GL counts rows from the bottom
 
     def close(self) -> None:
-        """Free the driver's memory; the renderer cannot be used afterwards."""
+        """Free the driver's resources; the renderer cannot be used afterwards."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()
 
     def __enter__(self) -> MujocoRenderer:
-        """The renderer itself."""
+        """Return the renderer itself."""
         return self
 
     def __exit__(
@@ -147,7 +147,7 @@ class MujocoRenderer:
 
 
 def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
-    """Give a GL camera the pose and the frustum of ours; pixel centres are integers, so the image begins at -0.5."""
+    """Set pose and frustum of a GL camera; pixel centers have integer coordinates, so the image begins at -0.5."""
     R_WC = camera.X_WC.rotation
     view.pos, view.forward, view.up = camera.X_WC.p, R_WC[:, 2], -R_WC[:, 1]
     view.orthographic = 0
@@ -159,7 +159,7 @@ def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
 
 
 def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Put MuJoCo's headlight on our camera, and light a model that has no light as the ray caster does."""
+    """Place MuJoCo's headlight at our camera, and light a model without lights as the ray caster does."""
     import mujoco
 
     for light in scene.lights[: scene.nlight]:
@@ -179,7 +179,7 @@ def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> Non
 
 
 def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Fill what is empty with the ray caster's horizon colour: a plane behind everything, unless there is a skybox."""
+    """Fill empty pixels with the ray caster's horizon color: a plane behind everything, unless there is a skybox."""
     import mujoco
 
     has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())

@@ -1,7 +1,7 @@
-"""Pictures of a scene without a display, a driver or a GPU: colour, exact depth, object labels and normals.
+"""Ray-cast images of a scene without a display, driver or GPU: color, exact depth, object labels and normals.
 
-Made for synthetic captures, for documentation and for machines where no simulator can draw. Colours are shaded in
-linear light (Lambert, a faint highlight, hemispherical ambient light, shadows) and returned as sRGB.
+They are used for synthetic captures, for documentation and on machines where no simulator can render. Colors are shaded
+in linear light (Lambertian, faint highlights, hemispherical ambient light, shadows) and returned as sRGB.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
 BAND = 1_300_000
-"""How many rays are shaded at once: about 1 GB of memory."""
+"""Number of rays shaded at once; this needs about 1 GB of memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Raycast:
-    """A picture with its geometry, pixel by pixel; every array is (h, w) or (h, w, 3).
+    """An image with per-pixel geometry; all arrays have shape (h, w) or (h, w, 3).
 
-    ``color`` uint8 sRGB; ``depth`` [m] along the optical axis at the pixel's centre, float64, NaN where nothing is hit;
-    ``objects`` int32: 0 where nothing is hit, else 1 + the index in ``scene.objects``; ``normals`` unit, world frame,
-    toward the camera, NaN where nothing is hit; ``camera`` the camera that saw it.
+    ``color`` is uint8 sRGB. ``depth`` [m] is measured along the optical axis at the pixel center, float64, NaN if no
+    surface is hit. ``objects`` is int32: 0 if no surface is hit, otherwise 1 + the index in ``scene.objects``.
+    ``normals`` are unit vectors in the world frame toward the camera, NaN if no surface is hit. ``camera`` is the
+    camera of the image.
     """
 
     color: NDArray[np.uint8]
@@ -39,16 +40,16 @@ class Raycast:
 
 
 def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, samples: int = 1) -> Raycast:
-    """Look at ``scene`` in ``state`` (by default the state that the scene describes) through ``camera``.
+    """Render ``scene`` in ``state`` (by default the state described by the scene) through ``camera``.
 
-    Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` of the camera frame, so the centre of the first pixel
-    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Colour is the mean of ``samples`` x ``samples`` rays
-    in each pixel, and the more there are, the softer are its shadows: one ray gives hard shadows and an open sky, from
-    two on corners are darker. Depth, objects and normals are those of the centre. A visual of alpha 0 is not there; one
-    of alpha below 1 is seen, in all four arrays, lets the colour behind it through and casts no shadow.
+    Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` in the camera frame, so the center of the first pixel
+    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. The color of a pixel is the mean of ``samples`` x
+    ``samples`` rays. One ray gives hard shadows and no ambient occlusion; two or more darken corners, and more rays
+    soften the shadows. Depth, objects and normals are those at the pixel center. A visual with alpha 0 is absent. A
+    visual with alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
     """
     if samples < 1:
-        raise ValueError(f"a pixel needs at least one ray, got samples={samples}")
+        raise ValueError(f"a pixel needs at least one ray; got samples={samples}")
     surface = scene_surface(scene, state)
     h, w = camera.height, camera.width
     rays = _pixels(camera, 1)
@@ -71,7 +72,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
 
 
 def _band(scene: Scene, surface: SceneSurface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
-    """Colour of ``rows`` rows of the picture from ``top`` on, or of what is left of it: a picture of its own."""
+    """Render up to ``rows`` rows of the image from ``top`` on, as a separate image."""
     band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
     rays = _pixels(band, samples)
     linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), samples)
@@ -83,7 +84,7 @@ def _pixels(camera: Camera, samples: int) -> Rays:
 
 
 def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
-    """Return the first hit of each ray. Of closed surfaces only the outside is seen, so the rest is not even tried."""
+    """Return the first hit of each ray. Only the outside of closed surfaces is visible, so back faces are skipped."""
     alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
     faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
     kept = faces_camera | ~surface.closed
@@ -96,19 +97,19 @@ def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool =
 
 
 def _directions(rays: Rays, camera: Camera) -> Array:
-    """Ray directions in the world, shape (n, 3), of length one along the optical axis."""
+    """Return ray directions in the world, shape (n, 3), with unit length along the optical axis."""
     return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
 
 
 def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
-    """Unit shading normals toward the camera, shape (n, 3), where every ray along ``directions`` (n, 3) has hit."""
+    """Return unit shading normals toward the camera, shape (n, 3); every ray along ``directions`` (n, 3) has hit."""
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
     away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
 def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
-    """Linear colour of each ray, shape (n, 3); where the first hit is translucent, mixed with the opaque one behind."""
+    """Return the linear color of each ray, shape (n, 3); a translucent hit is blended with the opaque one behind it."""
     directions = _directions(rays, camera)
     color = background(directions)
     met = np.flatnonzero(hits.triangle >= 0)

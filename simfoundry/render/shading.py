@@ -1,4 +1,4 @@
-"""Light on surfaces: lights, shadows, textures and colour spaces. All arithmetic is in linear light."""
+"""Shading: lights, shadows, textures and color spaces. All arithmetic is in linear light."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from simfoundry.render.surface import SceneSurface
 from simfoundry.scene.model import LightType, Scene
 
 SHADOW_BIAS = 2e-4
-"""Something that is closer to a point than this along the light [m] is the point's own surface."""
+"""Occluders closer to a point than this along the light direction [m] are the point's own surface."""
 
 DISTANT = 1e4
-"""A distant light stands this many scene radii away."""
+"""Distance of a distant light, in scene radii."""
 
 FILL = 0.22
-"""Ambient light of a scene that lights itself but has no dome: a real room is never black in the shade."""
+"""Ambient light of a scene that has lights but no dome; a real room is never black in the shade."""
 
 LAMP_RADIUS = 0.03
-"""Half the angle under which a distant lamp appears [rad], for soft shadows."""
+"""Half the angular diameter of a distant lamp [rad], for soft shadows."""
 
 SKY_SPOTS = 4
-"""How many spots of the sky each sub-pixel looks at."""
+"""Number of sky samples per subpixel."""
 
 KEY_DIRECTION = frozen_array(unit(np.array([-0.16, 0.66, 0.82])))
-"""Where the light of a scene without lights comes from (unit, world)."""
+"""Light direction in a scene without lights (unit vector, world)."""
 
 SKY = frozen_array([0.86, 0.93, 1.0])
 GROUND = frozen_array([0.42, 0.39, 0.36])
@@ -61,7 +61,7 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """All light on a scene: its lamps, and ambient linear rgb that falls on what faces up and on what faces down."""
+    """All lighting of a scene: lamps, and ambient linear rgb for surfaces facing up and for surfaces facing down."""
 
     lamps: tuple[Lamp, ...]
     up: Array
@@ -69,7 +69,7 @@ class Studio:
 
 
 def studio(scene: Scene) -> Studio:
-    """The scene's own lights, or daylight from the upper left of a robot that looks along x."""
+    """Return the scene's own lights, or daylight from the upper left as seen by a robot that looks along x."""
     if not scene.lights:
         lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
@@ -90,10 +90,10 @@ def studio(scene: Scene) -> Studio:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Seen points, n of them: ``p`` [m, world] (n, 3), unit ``normals`` (n, 3), unit directions ``to_eye`` (n, 3).
+    """Visible points, n of them: ``p`` [m, world] (n, 3), unit ``normals`` (n, 3), unit directions ``to_eye`` (n, 3).
 
-    ``group`` shape (n,) says which of the ``groups`` sub-pixels a point belongs to: each is lit from its own spots of a
-    lamp and of the sky, so that their mean has soft shadows.
+    ``group``, shape (n,), is the subpixel of each point, out of ``groups``. Each subpixel uses its own samples of the
+    lamps and the sky, so that their mean has soft shadows.
     """
 
     p: Array
@@ -104,7 +104,7 @@ class Points:
 
 
 def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
-    """Linear colour of the n hits, shape (n, 3); ``focal_squared`` [px^2] says how large a pixel is."""
+    """Return the linear color of the n hits, shape (n, 3); ``focal_squared`` [px^2] determines the size of a pixel."""
     albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
     sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
     light = lights.down * (1 - sky) + lights.up * sky * _openness(surface, at)[:, None]
@@ -123,7 +123,7 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """The ``k``-th of ``count`` spots spread over a distant lamp; a single spot, or a point lamp, is its centre."""
+    """Return the ``k``-th of ``count`` samples on a distant lamp; the center for a point lamp or a single sample."""
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
@@ -133,7 +133,7 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
 
 
 def _openness(surface: SceneSurface, at: Points) -> Array:
-    """The share of the sky that each point sees, in [0, 1], shape (n,); all of it where there is but one group."""
+    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,); 1 if there is only one group."""
     open_sky = np.ones(len(at.p))
     if at.groups == 1:
         return open_sky
@@ -156,9 +156,10 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 
 
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
-    """Mark the points that something opaque keeps from the lamp, shape (n,).
+    """Mark the points at which an opaque surface blocks the lamp, shape (n,).
 
-    Of a closed surface its far side casts the shadow: the same shadow, and smooth shading keeps its soft terminator.
+    The far side of a closed surface casts its shadow: the shadow is the same, and smooth shading keeps a soft
+    terminator.
     """
     shadow = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(surface.corners):
@@ -183,7 +184,7 @@ def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.b
 
 
 def background(directions: Array) -> Array:
-    """Linear colour of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
+    """Return the linear color of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
     rise = unit(directions)[:, 2:]
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
@@ -191,7 +192,7 @@ def background(directions: Array) -> Array:
 
 
 def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Linear base colour of each hit, shape (n, 3): the visual's rgba times its texture."""
+    """Return the linear base color of each hit, shape (n, 3): the visual's rgba times its texture."""
     visual = surface.visual[hits.triangle]
     rgb = np.array([v.rgba[:3] for v in surface.visuals], dtype=np.float64)
     color = decode_srgb(np.clip(rgb, 0, 1))[visual]
@@ -205,7 +206,7 @@ def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: flo
 
 
 def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Texture colour of each hit, shape (n, 3), from the level whose texels are about as large as the pixel."""
+    """Return the texture color of each hit, shape (n, 3), from the level whose texels are about the size of a pixel."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
     at = blend(uv, hits.weights)
@@ -224,7 +225,7 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
 
 
 def _bilinear(image: Array, uv: Array) -> Array:
-    """Sample ``image`` (h, w, 3) at ``uv`` (n, 2), v up, repeating beyond [0, 1]."""
+    """Sample ``image`` (h, w, 3) at ``uv`` (n, 2) with v up, repeating beyond [0, 1]."""
     h, w = image.shape[:2]
     x, y = uv[:, 0] * w - 0.5, (1 - uv[:, 1]) * h - 0.5
     left, top = np.floor(x), np.floor(y)
@@ -238,7 +239,7 @@ def _bilinear(image: Array, uv: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _pyramid(png: bytes) -> tuple[Array, ...]:
-    """The texture in linear light, each level half the size of the one before, down to a few texels."""
+    """Return the texture in linear light as a pyramid; each level has half the size of the previous one."""
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:
@@ -252,12 +253,12 @@ def _pyramid(png: bytes) -> tuple[Array, ...]:
 
 
 def decode_srgb(values: Array) -> Array:
-    """SRGB in [0, 1] to linear light."""
+    """Convert sRGB in [0, 1] to linear light."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def encode_srgb(linear: Array) -> NDArray[np.uint8]:
-    """Linear light to sRGB bytes; what is brighter than white is white."""
+    """Convert linear light to sRGB bytes; values brighter than white are clipped."""
     c = np.clip(linear, 0, 1)
     return np.asarray(
         np.rint(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)), dtype=np.uint8

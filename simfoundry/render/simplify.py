@@ -1,4 +1,4 @@
-"""Meshes with fewer triangles to be drawn: details smaller than a pixel cost time and show nothing."""
+"""Mesh simplification for rendering: details smaller than a pixel take time and are not visible."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ Index = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
 FEW = 500
-"""A mesh of so few triangles is left as it is."""
+"""Meshes with at most this many triangles are unchanged."""
 
 FINE = 1e-3
-"""Corners within a cube of this size [m] become one: 0.4 pixels at half a metre in a picture 320 pixels wide."""
+"""Edge length of the cubes whose vertices are merged [m]: 0.4 pixels at half a meter in an image 320 pixels wide."""
 
 FLAT_LEVELS, FLAT = 3, 0.985
-"""Up to twice, four and eight times that size where a surface is so flat: the least cosine (10 deg) between its normals
-and their mean. The outline moves by 0.2 mm at most, and shading not at all, because normals are kept."""
+"""Minimum cosine (10 deg) between the normals and their mean for merging in cubes of two, four and eight times that
+size, in flat regions. The outline moves by at most 0.2 mm, and shading is unchanged because normals are kept."""
 
 
 def coarsened(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy of a model for a renderer, whose meshes lose what a small picture does not show.
+    """Return a copy of a model for rendering, with meshes reduced to the detail visible in a small image.
 
-    Triangles that vanish when corners become one, or appear twice, are left out. The copy is of no use for physics: it
-    says nothing of what the meshes collide as.
+    Triangles that become degenerate or duplicate by merging are omitted. The copy cannot be used for physics, because
+    its collision meshes are not updated.
     """
     drawn = copy.copy(model)
     for mesh in range(drawn.nmesh):
@@ -46,13 +46,13 @@ def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
     faces = _clusters(corners, faces)[faces]
     kept = _distinct(faces)
     model.mesh_face[begin : begin + len(kept)] = faces[kept]
-    for rows in (model.mesh_facenormal, model.mesh_facetexcoord):  # the same corners of the same triangles
+    for rows in (model.mesh_facenormal, model.mesh_facetexcoord):  # indexed by the same corners of the same triangles
         rows[begin : begin + len(kept)] = rows[begin : begin + count][kept]
     model.mesh_facenum[mesh] = len(kept)
 
 
 def _clusters(corners: Floats, faces: Index) -> Index:
-    """For each corner [m], shape (n, 3), the index of the one that it becomes, shape (n,)."""
+    """Return the index of the vertex into which each vertex [m], shape (n, 3), is merged, shape (n,)."""
     a, b, c = (corners[faces[:, k]] for k in range(3))
     normals = _unit(np.cross(b - a, c - a))
     owner = _cubes(corners, FINE)
@@ -70,20 +70,20 @@ def _clusters(corners: Floats, faces: Index) -> Index:
 
 
 def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Vectors of length one, shape (n, 3); what has no length stays."""
+    """Normalize vectors, shape (n, 3); vectors of zero length are unchanged."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, 1e-20), dtype=np.float64)
 
 
 def _cubes(corners: Floats, size: float) -> Index:
-    """The number of the cube that each corner lies in, counted from 0 among those that hold any, shape (n,)."""
+    """Return the index of the cube that contains each vertex, counted from 0 among nonempty cubes, shape (n,)."""
     x, y, z = np.floor((corners - corners.min(axis=0)) / size).astype(np.int64).T
     along = int(max(x.max(), y.max(), z.max())) + 1
     return np.asarray(np.unique((x * along + y) * along + z, return_inverse=True)[1], dtype=np.int64)
 
 
 def _distinct(faces: Index) -> Index:
-    """The indices of triangles that have three corners and are not the same as one before, ascending."""
+    """Return the ascending indices of triangles with three distinct vertices that do not repeat an earlier triangle."""
     a, b, c = np.sort(faces, axis=1).T
     size = int(c.max()) + 1
     _, first = np.unique((a * size + b) * size + c, return_index=True)

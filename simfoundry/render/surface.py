@@ -1,4 +1,4 @@
-"""The visible surface of a scene as one list of triangles, with what shading needs at every corner."""
+"""The visible surface of a scene as one list of triangles, with shading data at every corner."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState
 
 SEGMENTS = 96
-"""How finely round primitives are drawn: the radius of a 5 cm cup is off by at most 27 micrometres."""
+"""Tessellation of round primitives: the radius of a 5 cm cup is off by at most 27 micrometers."""
 
 CREASE_DEG = 35.0
 """Faces that meet at a smaller angle are shaded as one smooth surface."""
 
 _CROWDED = 512
-"""A vertex of more corners than this (the hub of a fan) is not smoothed: pairs grow with the square."""
+"""Vertices with more corners than this (the hub of a fan) are not smoothed; the number of pairs is quadratic."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSurface:
     """All m visible triangles of a scene.
 
-    ``corners`` [m, world], shape (m, 3, 3); ``normals`` unit, world, at each corner, shape (m, 3, 3); ``uv`` shape
-    (m, 3, 2), zero where there is none; ``visual`` shape (m,) indexes ``visuals``; ``object`` shape (m,) indexes the
-    scene's objects; ``closed`` bool, shape (m,): part of a watertight, outward surface, whose inside nobody sees.
+    ``corners`` [m, world], shape (m, 3, 3). ``normals`` are unit vectors in the world at each corner, shape (m, 3, 3).
+    ``uv``, shape (m, 3, 2), is zero without texture coordinates. ``visual``, shape (m,), indexes ``visuals``.
+    ``object``, shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks triangles of watertight,
+    outward-oriented surfaces, whose insides are never visible.
     """
 
     corners: Array
@@ -55,7 +56,7 @@ class _Patch:
 
 
 def scene_surface(scene: Scene, state: SceneState | None = None) -> SceneSurface:
-    """The visible triangles of ``scene`` in ``state``, by default the state that the scene describes."""
+    """Return the visible triangles of ``scene`` in ``state``, by default the state described by the scene."""
     state = SceneState.initial(scene) if state is None else state
     patches: list[_Patch] = []
     visuals: list[Visual] = []
@@ -97,7 +98,7 @@ def _patch(geometry: Geometry) -> _Patch:
 
 
 def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
-    """Return True if every edge is met once in each direction and the volume inside is positive."""
+    """Return true if every edge is used once in each direction and the enclosed volume is positive."""
     if not len(faces):
         return False
     start, stop = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
@@ -108,7 +109,7 @@ def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
 
 
 def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals, shape (m, 3, 3): the area-weighted mean of the faces at a corner's vertex, creases apart."""
+    """Return unit normals, shape (m, 3, 3): area-weighted means of the faces at each vertex, except across creases."""
     area = area_normals(corners)
     facet = unit(area)
     vertex = faces.ravel()

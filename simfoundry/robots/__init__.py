@@ -1,1 +1,1 @@
-"""Robots: a YAML file each, what their hands can do, and arms solved by inverse kinematics."""
+"""Robots: grippers measured on their models, and arms solved by inverse kinematics."""

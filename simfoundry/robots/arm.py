@@ -1,4 +1,4 @@
-"""Inverse kinematics of a robot's arm, with its gripper as one rigid piece."""
+"""Inverse kinematics of a robot arm with its gripper as one rigid body."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
     import mujoco
 
 NEAR = 5e-4
-"""How far from where it should be a solved hand may be [m]."""
+"""Position tolerance of a solution [m]."""
 
 TURNED = 4e-3
-"""How far it may be turned [rad]."""
+"""Orientation tolerance of a solution [rad]."""
 
 ITERATIONS = 40
 SLACK = 0.02
-"""How far from the joints' limits solutions stay [rad or m]."""
+"""Margin between solutions and the joint limits [rad or m]."""
 
 STUCK = 4
-"""A solution that has come no closer in so many iterations does not."""
+"""Number of iterations without progress after which a solve is stopped."""
 
 SEEDS = 3
-"""From how many other postures an arm is solved where it is not from the one that it has."""
+"""Number of additional start configurations if the solve from the current one fails."""
 
 
 class Arm:
-    """The arm of a robot. Postures ``q`` are its joints in the scene's order [rad or m], shape (n,)."""
+    """The arm of a robot. Configurations ``q`` list its joints in the scene's order [rad or m], shape (n,)."""
 
     def __init__(self, robot: Robot) -> None:
         native = mujoco_model(robot)
@@ -57,15 +57,15 @@ class Arm:
         return _Solver(self.model, self._body, self._order, self.low, self.high)
 
     def hand(self, q: Array) -> Pose:
-        """Pose of the hand in the world in a posture."""
+        """Return the pose of the hand in the world at configuration ``q``."""
         return self.robot.X_WB @ self._solver.body(q) @ self._X_LH
 
     def solve(self, X_WH: Pose, near: Array) -> Array | None:
-        """A posture that has the hand at ``X_WH``, reached from the posture ``near``; None where there is none."""
+        """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if none is found."""
         return self._solver.solve(self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse(), near)
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """Solve as :meth:`solve` does; if that fails, from home and from random postures around it."""
+        """Solve as :meth:`solve` does; if that fails, from the home configuration and random ones around it."""
         target = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
         found = self._solver.solve(target, near)
         if found is None:
@@ -79,7 +79,7 @@ class Arm:
 
 
 class _Solver:
-    """Mink on the rigid model: one frame to be reached, and a slight pull towards the posture that it starts from."""
+    """Mink on the rigid model: a task for one frame, and a weak posture task toward the start configuration."""
 
     def __init__(self, model: mujoco.MjModel, body: str, order: list[int], low: Array, high: Array) -> None:
         import mink
@@ -129,7 +129,7 @@ class _Solver:
 
 
 def _rigid(read: MujocoRobot, joints: tuple[str, ...]) -> mujoco.MjModel:
-    """The robot's model with the arm's joints only."""
+    """Return the robot's model with only the arm's joints."""
     spec = read.spec.copy()
     for items in (spec.actuators, spec.sensors, spec.equalities, spec.tendons, spec.keys):
         for item in list(items):

@@ -1,4 +1,4 @@
-"""The fingers of a gripper: what they leave free between them, measured on its model by rays."""
+"""Fingers of a gripper: the free space between them, measured on the model by ray casting."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ if TYPE_CHECKING:
     import mujoco
 
 SHARES = 21
-"""At how many openings the fingers are measured."""
+"""Number of openings at which the fingers are measured."""
 
 STEP, DEEPEST = 0.001, 0.3
-"""Between rays, along the hand [m], and how far from its frame they are looked for."""
+"""Spacing of the rays along the hand [m], and maximum depth from the hand frame [m]."""
 
 WIDEST = 0.12
-"""What a ray meets further away than this [m] is no finger."""
+"""Hits beyond this distance [m] are not fingers."""
 
 PAD = 0.002
-"""Where fingers leave at most this much more room than at their narrowest [m], they are flat enough to hold."""
+"""Pads extend over the depths at which the gap exceeds its minimum by at most this much [m]."""
 
 HIDDEN = 5
 FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-"""The group of geoms that no ray is to meet, and the mask of those that they may: what moves and is felt."""
+"""The geom group that rays ignore, and the mask of groups that they may hit: moving collision geoms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Jaws:
-    """The fingers at each closed ``share``, from 0 open to 1, shape (k,), in the hand's frame.
+    """The finger geometry at each closed ``share``, from 0 (open) to 1, shape (k,), in the hand frame.
 
-    ``width`` [m] is free between the pads, which reach from ``low`` to ``tip`` along the hand's z [m]; shapes (k,).
-    Fingers close along y.
+    ``width`` [m] is the gap between the pads, which extend from ``low`` to ``tip`` along the hand's z axis [m]; shapes
+    (k,). Fingers close along y.
     """
 
     share: Array
@@ -48,11 +48,11 @@ class Jaws:
 
     @property
     def opening(self) -> float:
-        """The greatest width [m]."""
+        """The maximum gap [m]."""
         return float(self.width.max())
 
     def at_width(self, width: float) -> tuple[float, float, float]:
-        """Share, and low and tip of the pads [m], where the pads are ``width`` [m] apart."""
+        """Return the closed share and the low and tip of the pads [m] at a gap of ``width`` [m]."""
         order = np.argsort(self.width)
         narrow = self.width[order]
         return (
@@ -64,7 +64,7 @@ class Jaws:
 
 @lru_cache(maxsize=8)
 def jaws(robot: Robot) -> Jaws | None:
-    """The fingers of a robot; None where it has no gripper or its fingers do not face each other along y."""
+    """Measure the fingers of a robot; None without a gripper or if its fingers do not face each other along y."""
     native = mujoco_model(robot)
     if native is None or native.gripper is None:
         return None
@@ -85,7 +85,7 @@ def jaws(robot: Robot) -> Jaws | None:
 
 
 def finger_positions(gripper: Gripper, share: float) -> dict[str, float]:
-    """Positions [rad or m] of all joints of a gripper by the model's names, closed by ``share``."""
+    """Return the positions [rad or m] of all gripper joints, closed by ``share``, by the model's names."""
     positions = {name: start + share * (end - start) for name, (start, end) in gripper.joints.items()}
     for name, leader in gripper.follow.items():
         positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
@@ -104,7 +104,7 @@ def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
 
 
 def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
-    """Width, low and tip of the pads; None where no ray meets two fingers."""
+    """Return gap, low and tip of the pads; None if no ray hits two fingers."""
     depth = np.arange(0.0, DEEPEST, STEP)
     free = np.array([_free(model, data, X_WH, z) for z in depth])
     met = np.isfinite(free)
@@ -118,7 +118,7 @@ def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[fl
 
 
 def _free(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose, z: float) -> float:
-    """Room between the fingers at a depth ``z`` of the hand [m]; inf where one of them is not there."""
+    """Return the gap between the fingers at depth ``z`` of the hand [m]; inf if a finger is not hit."""
     import mujoco
 
     start = X_WH.apply(np.array([0.0, 0.0, z]))

@@ -1,6 +1,6 @@
-"""Reach of robots: along the ground by what is known of them, and by inverse kinematics of their arms.
+"""Robot reach: horizontal distance from published data, and inverse kinematics of the arms.
 
-Both are about the arm alone: its fingers may not fit the object, and something may be in the way.
+Both concern the arm alone: the fingers may not fit the object, and obstacles are ignored.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from simfoundry.scene.poses import pose
 from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10
-"""From how far its grasp the hand comes [m]."""
+"""Distance from which the hand approaches its grasp [m]."""
 
 YAWS = 6
-"""Turns of the hand about z that are tried."""
+"""Number of hand rotations about z that are tried."""
 
 DEEP = 0.03
-"""How far behind the top or the side from which they come fingers take a thing [m]; at its
-middle if that is nearer."""
+"""Depth of the fingertips below the top or side of the object from which the hand approaches [m]; the object's center
+if that is nearer."""
 
 UP = (0.0, 0.0, 1.0)
 
 
 PAYLOAD = 1.0
-"""Greatest mass that a robot lifts of which nothing is known [kg]: light arms for the desk lift 0.5 to 1.5 kg."""
+"""Payload of robots without published data [kg]; light desktop arms lift 0.5 to 1.5 kg."""
 
 BEYOND = 0.1
-"""Distance beyond its known reach at which an arm is still solved for [m]: an object is grasped at its near side."""
+"""Distance beyond the published reach at which an arm is still solved [m], because grasps are at an object's near
+side."""
 
 
 class Hand(NamedTuple):
-    """A robot that acts: its base along the ground [m], how far it reaches [m], opens [m] and lifts [kg].
+    """A robot that acts: its base in the horizontal plane [m], and its reach [m], opening [m] and payload [kg].
 
-    ``reach`` and ``opening`` are None if they are unknown; ``kind`` is the known robot that it is, else empty.
+    ``reach`` and ``opening`` are None if unknown; ``kind`` is the name of the known robot, or empty.
     """
 
     name: str
@@ -56,7 +57,7 @@ class Hand(NamedTuple):
 
 
 class Miss(NamedTuple):
-    """The hand that misses a place by least, and the distance of the place from its base [m]."""
+    """The hand closest to reaching a place, and the horizontal distance of the place from its base [m]."""
 
     hand: Hand
     distance: float
@@ -64,12 +65,12 @@ class Miss(NamedTuple):
 
     @property
     def lacking(self) -> float:
-        """Return how much farther the robot would have to reach [m]."""
+        """The distance by which the place is beyond the reach [m]."""
         return self.distance - self.reach
 
 
 def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> tuple[Hand, ...]:
-    """Return the hands of robots of a document, whether or not their models are here; ``payload`` [kg] overrides."""
+    """Return the hands of a document's robots, with or without installed models; ``payload`` [kg] overrides theirs."""
     found = []
     for name, robot in robots.items():
         known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
@@ -81,9 +82,9 @@ def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> t
 
 
 def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | None:
-    """Return the hand that misses a place by least, by its distances from their bases along the ground [m].
+    """Return the hand that is closest to reaching a place, given horizontal distances from their bases [m].
 
-    None if one of them reaches it, or if it is unknown how far one reaches.
+    Returns None if a hand reaches the place or if a reach is unknown.
     """
     misses = [Miss(h, d, h.reach) for h, d in zip(hands, distances, strict=True) if h.reach is not None]
     nearest = min(misses, key=lambda miss: miss.lacking, default=None)
@@ -92,9 +93,9 @@ def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | No
 
 @dataclass(frozen=True)
 class Reached:
-    """The result of a reach test: ``robot`` that reaches, or the nearest; ``away`` [m] from its base, along the ground.
+    """Result of a reach test: the ``robot`` that reaches or the nearest one; ``away`` [m] is horizontal, from its base.
 
-    ``checked`` is False where no arm has a model or the solver is not installed; ``why`` says so.
+    ``checked`` is False if no arm has a model or the solver is not installed; ``why`` gives the reason.
     """
 
     reached: bool
@@ -105,7 +106,7 @@ class Reached:
 
 
 class ArmReach:
-    """The arms of a scene."""
+    """Reachability of grasps by the arms of a scene."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
         self._scene, self._names = scene, robots
@@ -113,7 +114,7 @@ class ArmReach:
 
     @cached_property
     def _arms(self) -> list[tuple[Arm, float]]:
-        """Arms with the distance [m] along the hand from its frame to between its finger tips."""
+        """The arms, each with the distance [m] along the hand from its frame to the point between the fingertips."""
         found = []
         there = {robot.name: robot for robot in self._scene.robots}
         for name in self._names:
@@ -125,20 +126,21 @@ class ArmReach:
 
     @cached_property
     def missing(self) -> str:
-        """Return why nothing can be checked; empty where it can."""
+        """The reason why reach cannot be checked; empty if it can."""
         missing = EXTRAS["expert"].missing
         if missing:
             return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
         if not self._names:
             return "no robot acts here"
         if not any(robot.name in self._names for robot in self._scene.robots):
-            return f"no model of {', '.join(self._names)} is here; `simfoundry doctor` says what brings it"
+            return f"no model of {', '.join(self._names)} is installed; `simfoundry doctor` shows how to get it"
         return ""
 
     def __call__(self, low: Array, high: Array, side: Sequence[float] = UP, way: Sequence[float] = UP) -> Reached:
-        """Return whether an arm can take what is between two corners in the world [m], shape (3,) each.
+        """Test whether an arm can grasp the box between two corners in the world [m], shape (3,) each.
 
-        The hand comes from a ``side`` along a ``way``: unit vectors away from the thing.
+        The fingers point toward the object from ``side``, and the hand approaches along ``way``; both are unit vectors
+        that point away from the object.
         """
         if self.missing:
             return Reached(False, False, why=self.missing)
@@ -163,7 +165,7 @@ class ArmReach:
         return nearest
 
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
-        """Return whether the hand gets to where its way begins and straight to its place."""
+        """Return true if the hand reaches the start of its approach and moves from there to the grasp."""
         starts = (_towards(arm, hand), arm.home)
         for turn in _hand_turns(side):
             before = Pose.of(hand + OVER * way, turn)
@@ -175,7 +177,7 @@ class ArmReach:
 
 
 def _hand_turns(side: Array) -> list[Array]:
-    """Quaternions (wxyz) of hands that look away from a ``side``: any turn from above, else fingers side by side."""
+    """Return quaternions (wxyz) of hands that approach from ``side``: any rotation from above, else level fingers."""
     if side[2] > 1 - 1e-9:
         turns = [2 * math.pi * k / YAWS for k in range(YAWS)]
         across = [np.array([math.cos(turn), math.sin(turn), 0.0]) for turn in turns]
@@ -187,9 +189,9 @@ def _hand_turns(side: Array) -> list[Array]:
 
 
 def _towards(arm: Arm, hand: Array) -> Array:
-    """The home posture with the first joint turned so that the hand is on the side where it should go.
+    """Return the home configuration with the first joint rotated to turn the hand toward its target.
 
-    A good start where that joint stands upright, as it does in most arms, and no bad one elsewhere.
+    This is a good start if the axis of that joint is vertical, as in most arms, and does no harm otherwise.
     """
     base, now = arm.robot.X_WB.p, arm.hand(arm.home).p
     turn = math.atan2(hand[1] - base[1], hand[0] - base[0]) - math.atan2(now[1] - base[1], now[0] - base[0])

@@ -1,1 +1,1 @@
-"""Files, processes and optional packages: what every other package may rest on."""
+"""Files, processes and optional packages: the foundation of all other packages."""

@@ -1,4 +1,4 @@
-"""Optional packages: the purpose of each extra, its packages, and the line that installs it."""
+"""Optional packages: the purpose and packages of each extra, and the command that installs it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from simfoundry.errors import SimfoundryError
 
 @dataclass(frozen=True)
 class Extra:
-    """One of the package's optional dependencies.
+    """One optional dependency of the package.
 
-    ``packages`` maps the distributions that it installs onto the modules by which they are imported.
+    ``packages`` maps the distributions that it installs to the modules by which they are imported.
     """
 
     name: str
@@ -24,17 +24,17 @@ class Extra:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The distributions that cannot be imported here; nothing is imported to find out."""
+        """The distributions that cannot be found; nothing is imported."""
         return tuple(name for name, module in self.packages.items() if not is_installed(module))
 
 
 def is_installed(module: str) -> bool:
-    """Return whether a top-level module can be found; it is not imported."""
+    """Return true if a top-level module can be found, without importing it."""
     if module in sys.modules:
-        return sys.modules[module] is not None  # None stands for one that must not be imported
+        return sys.modules[module] is not None  # None blocks the import of a module
     try:
         return find_spec(module) is not None
-    except ImportError:  # a finder that refuses it
+    except ImportError:  # raised by an import hook
         return False
 
 
@@ -45,11 +45,11 @@ def _extra(name: str, purpose: str, **packages: str) -> tuple[str, Extra]:
 EXTRAS: Mapping[str, Extra] = MappingProxyType(
     dict(
         (
-            _extra("expert", "the scripted expert (`-p expert`), and whether an arm reaches: inverse kinematics",
+            _extra("expert", "the scripted expert (`-p expert`) and reachability checks by inverse kinematics",
                    mink="mink", qpsolvers="qpsolvers", daqp="daqp"),
-            _extra("robots", "known robots but `demo_arm`: each is fetched when it is first used",
+            _extra("robots", "known robots except `demo_arm`; each is downloaded on first use",
                    mujoco_menagerie="mujoco_menagerie"),
-            _extra("pybullet", "PyBullet worlds (their files are written without it)", pybullet="pybullet"),
+            _extra("pybullet", "PyBullet worlds (not needed to write their files)", pybullet="pybullet"),
             _extra("policies", "policies behind a server (`eval -p policy.yaml`)",
                    msgpack="msgpack", pyzmq="zmq", websockets="websockets"),
             _extra("gymnasium", "tasks as `gymnasium` environments", gymnasium="gymnasium"),
@@ -63,27 +63,27 @@ EXTRAS: Mapping[str, Extra] = MappingProxyType(
         )
     )
 )  # fmt: skip
-"""The extras of pyproject.toml, most wanted first; a test compares the two."""
+"""The extras of pyproject.toml, most useful first; a test compares the two."""
 
 
 class MissingExtraError(SimfoundryError):
-    """Packages that are not installed; the message says what needs them, and the line that installs them."""
+    """An error for packages that are not installed; the message names the feature and the install command."""
 
 
 def need_extra(extra: str, what: str) -> None:
-    """Raise :class:`MissingExtraError` where packages of an extra are missing that ``what`` needs."""
+    """Raise :class:`MissingExtraError` if ``what`` needs packages of an extra that are missing."""
     missing = EXTRAS[extra].missing
     if missing:
         raise MissingExtraError(f"{what} needs {', '.join(missing)}; install with `{install_line(extra)}`")
 
 
 def how_to_install(module: str) -> str:
-    """The line that installs the package of a module: that of the extra that it belongs to, or its own."""
+    """Return the command that installs a module: that of the extra it belongs to, or that of its own package."""
     top = module.partition(".")[0]
     extra = next((extra.name for extra in EXTRAS.values() if top in extra.packages.values()), None)
     return install_line(extra) if extra is not None else f"pip install {top.replace('_', '-')}"
 
 
 def install_line(extra: str) -> str:
-    """The line that installs an extra, as people type it."""
+    """Return the command that installs an extra."""
     return f"pip install 'simfoundry[{EXTRAS[extra].name}]'"

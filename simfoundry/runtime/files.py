@@ -1,4 +1,4 @@
-"""Writing files and folders in one step, so that a killed run leaves what was there whole."""
+"""Atomic writes of files and folders, so that an interrupted run leaves the previous version intact."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from pathlib import Path
 from typing import IO
 
 BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
-"""What programs leave in a folder by the way; nobody misses it."""
+"""Incidental files that programs leave in a folder; they can be deleted."""
 
 STALE_S = 3600.0
-"""No run takes this long to fill a folder [s]; it counts where the system does not tell whether that lives."""
+"""Age [s] after which a staging folder counts as abandoned on systems without folder locks; no run takes this long."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file in one step."""
+    """Write a file atomically."""
     with writing_atomically(path) as stream:
         stream.write(data)
 
 
 @contextmanager
 def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
-    """A stream to a file that takes its place in one step when the block ends well: for more than fits in memory."""
+    """Yield a stream to a file that appears atomically if the block succeeds, for content larger than memory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
@@ -42,7 +42,7 @@ def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file, with its folders, below a folder that takes its place in one step later."""
+    """Write a file and create its folders, inside a staging folder that is moved into place later."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path):
         path.write_bytes(data)
@@ -50,7 +50,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let errors of the system name the file: one of a write, as on a full disk, knows only a number."""
+    """Add the file name to system errors that lack one, such as a write to a full disk."""
     try:
         yield
     except OSError as error:
@@ -61,7 +61,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A new folder to fill beside ``folder``, whose place it takes when the block ends well, and goes otherwise."""
+    """Yield an empty folder beside ``folder`` that replaces it if the block succeeds and is removed otherwise."""
     with scratch(folder.parent, folder.name) as staging:
         yield staging
         replace_folder(staging, folder)
@@ -69,16 +69,16 @@ def staged(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch(parent: Path, name: str) -> Iterator[Path]:
-    """A new folder ``parent/.NAME.new.*`` to work in, which is removed at the end.
+    """Yield a new working folder ``parent/.NAME.new.*`` that is removed at the end.
 
-    It is locked as long as the run lives, so that the next run knows, and clears, those that killed runs left there.
+    It is locked while the run is alive, so that the next run can detect and remove folders of killed runs.
     """
     parent.mkdir(parents=True, exist_ok=True)
     _clear(parent, name)
     made = Path(tempfile.mkdtemp(prefix=f".{name}.making.", dir=parent))
     lock = _lock(made)
     staging = made.with_name(made.name.replace(".making.", ".new."))
-    made.rename(staging)  # under this name nobody sees it before it is locked
+    made.rename(staging)  # it is locked before it becomes visible under this name
     try:
         yield staging
     finally:
@@ -88,7 +88,7 @@ def scratch(parent: Path, name: str) -> Iterator[Path]:
 
 
 def _clear(parent: Path, name: str) -> None:
-    """Remove the staging folders of runs that are dead, and those in which nothing moved for ``STALE_S``."""
+    """Remove the staging folders of dead runs, and those that have not changed for ``STALE_S``."""
     head = tuple(f".{name}.{step}." for step in ("new", "making"))
     with os.scandir(parent) as entries:
         left = [Path(entry.path) for entry in entries if entry.name.startswith(head)]
@@ -99,14 +99,14 @@ def _clear(parent: Path, name: str) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
             if lock is not None:
                 os.close(lock)
-        except OSError:  # another run was faster
+        except OSError:  # another run has already removed it
             continue
 
 
 def _lock(folder: Path) -> int | None:
-    """A descriptor that locks a folder until it is closed, or this process ends in whatever way; None if it is locked.
+    """Return a descriptor that locks a folder until it is closed or the process ends; None if it is already locked.
 
-    None also where folders cannot be locked: on Windows, and on some network file systems.
+    Also returns None if folders cannot be locked: on Windows, and on some network file systems.
     """
     try:
         import fcntl
@@ -122,9 +122,9 @@ def _lock(folder: Path) -> int | None:
 
 
 def replace_folder(new: Path, folder: Path) -> None:
-    """Put the folder ``new`` in the place of ``folder``, which then lies where ``new`` was; both on one file system.
+    """Exchange the folders ``new`` and ``folder``; both must be on the same file system.
 
-    In one step where the system can exchange two names; elsewhere a kill between two renames leaves the old folder
+    The exchange is atomic if the system supports it. Otherwise, a kill between the two renames leaves the old folder
     beside its place, in ``.NAME.old.*``.
     """
     new.chmod(0o755)
@@ -147,7 +147,7 @@ def replace_folder(new: Path, folder: Path) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files below ``folder`` by relative POSIX path; folders on the way are made once."""
+    """Write files below ``folder`` by relative POSIX path; each parent folder is created once."""
     for parent in sorted({(folder / path).parent for path in files}):
         parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
@@ -156,19 +156,19 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def strangers(folder: Path, written: Iterable[str]) -> list[str]:
-    """Files in ``folder`` that are not among those ``written`` there, by relative POSIX path, sorted."""
+    """Return the files in ``folder`` that are not in ``written``, by relative POSIX path, sorted."""
     known = set(written)
     files = (p.relative_to(folder) for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
     return sorted(p.as_posix() for p in files if p.as_posix() not in known and not set(p.parts) & set(BYSTANDERS))
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Exchange two names in one step; False where the system or the file system cannot."""
+    """Exchange two names atomically; return False if the system or the file system does not support it."""
     if not sys.platform.startswith("linux"):
         return False
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
-    except AttributeError:  # a C library from before 2018
+    except AttributeError:  # a C library older than 2018
         return False
     here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
     return int(rename(here, os.fsencode(a), here, os.fsencode(b), exchange)) == 0

@@ -1,4 +1,4 @@
-"""One function mapped over many inputs: in this process while that is quick, else over the cores."""
+"""Parallel map: in this process if that is fast enough, otherwise across the CPU cores."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 SERIAL_TRIAL = 32
-"""Inputs that are mapped in this process before the time for the others is estimated: enough for a stable mean."""
+"""Number of inputs processed here before the remaining time is estimated; enough for a stable mean."""
 
 STARTUP_S = 2.0
-"""Work shorter than this is not worth starting processes for: until they have imported everything, 0.5 s pass [s]."""
+"""Shortest remaining work [s] for which processes are started; starting them and importing everything takes 0.5 s."""
 
 MAX_PROCESSES = 8
-"""Upper bound of processes by default; beyond it, memory is short before time is gained."""
+"""Default maximum number of processes; with more, memory runs out before time is gained."""
 
 MAX_CHUNK = 32
-"""Inputs that one call maps at most, so that progress is seen."""
+"""Maximum number of inputs per call, so that progress is visible."""
 
 SILENCE_S = 600.0
-"""Longest time that a chunk may take [s]: far more than documents of any legal size need."""
+"""Maximum time for a chunk [s], far more than any valid document needs."""
 
 
 def map_parallel(
@@ -35,11 +35,11 @@ def map_parallel(
     startup_s: float = STARTUP_S,
     processes: int | None = None,
 ) -> list[R]:
-    """Map ``function`` over ``inputs``, in this process while that is quick, else over the cores; keeps the order.
+    """Map ``function`` over ``inputs``, here if that is fast enough, else across the cores; order is preserved.
 
-    ``function`` is a function of a module, or a partial of one, so that other processes can import it. ``progress``
-    gets the number of inputs that are done. Processes are started if the rest would take more than ``startup_s``
-    seconds here and there are cores for them.
+    ``function`` must be a module-level function or a partial of one, so that other processes can import it.
+    ``progress`` receives the number of completed inputs. Processes are started if several cores are available and the
+    remaining inputs would take more than ``startup_s`` seconds here.
     """
     processes = min(MAX_PROCESSES, usable_cores()) if processes is None else processes
     results: list[R] = []
@@ -48,7 +48,7 @@ def map_parallel(
         results.append(function(value))
         progress(k)
         if k == 1:
-            start = time.perf_counter()  # the first also pays for imports
+            start = time.perf_counter()  # the first call includes the imports
         elif k >= SERIAL_TRIAL and processes > 1:
             mean_s = (time.perf_counter() - start) / (k - 1)
             if (len(inputs) - k) * mean_s > startup_s:
@@ -75,7 +75,7 @@ def _map_in_processes(
         for _ in chunks:
             k, result = pool.next()
             if isinstance(result, WorkerError):
-                raise SimfoundryError(f"a process that did part of the work {result}; is the memory full?")
+                raise SimfoundryError(f"a worker process {result}; check whether the machine has run out of memory")
             found[k] = result
             done += len(chunks[k])
             progress(done)
@@ -85,12 +85,12 @@ def _map_in_processes(
 
 
 def map_chunk(function: Callable[[T], R], chunk: Sequence[T]) -> list[R]:
-    """Map ``function`` over one chunk of inputs: the call that a worker gets."""
+    """Map ``function`` over one chunk of inputs; this is the call that a worker receives."""
     return [function(value) for value in chunk]
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Return the number of cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

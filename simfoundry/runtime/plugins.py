@@ -1,7 +1,7 @@
-"""Extensions by name: what SimFoundry brings itself, and what installed packages add through entry points.
+"""Extensions by name: those built into SimFoundry, and those that installed packages add through entry points.
 
-Each kind of extension is one :class:`Registry` beside the code that uses it. A package adds to it with an entry point
-in the group of that kind, for example::
+Each kind of extension has one :class:`Registry` beside the code that uses it. A package adds an extension with an entry
+point in the group of that kind, for example::
 
     [project.entry-points."simfoundry.backends"]
     sdf = "my_package.sdf:BACKEND"
@@ -35,11 +35,11 @@ GROUPS: Mapping[str, str] = {
     "simfoundry.robots": "robot",
     "simfoundry.targets": "target",
 }
-"""The groups of entry points, with what each brings."""
+"""The entry point groups and the kind of extension in each."""
 
 
 class UnknownExtensionError(SimfoundryError):
-    """A name that nothing has; the message lists the names that exist."""
+    """An unknown extension name; the message lists the valid names."""
 
 
 class PluginError(SimfoundryError):
@@ -48,9 +48,9 @@ class PluginError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Plugin:
-    """An extension that an installed package brings: where its code is, and the package's name and version.
+    """An extension from an installed package: its code, and the name and version of the package.
 
-    ``rival`` is another package that brings the same name, if there is one; then neither can be used.
+    ``rival`` is another package that provides the same name, if any; then neither can be used.
     """
 
     name: str
@@ -74,13 +74,13 @@ class Plugin:
         return found
 
     def folder(self) -> Path:
-        """Return the folder of the package that the entry point names, as targets and robots need."""
+        """Return the folder of the package that the entry point names, as required for targets and robots."""
         from importlib.util import find_spec
 
         self._check_unique()
         try:
             spec = find_spec(self.value)
-        except Exception as error:  # the parent package is imported to find it
+        except Exception as error:  # finding it imports the parent package
             raise self.error(f"{type(error).__name__}: {error}") from error
         places = list(spec.submodule_search_locations or ()) if spec is not None else []
         if not places:
@@ -89,10 +89,10 @@ class Plugin:
 
     def _check_unique(self) -> None:
         if self.rival:
-            raise self.error(f"the package {self.rival} brings one of the same name")
+            raise self.error(f"the package {self.rival} provides one with the same name")
 
     def error(self, cause: str) -> PluginError:
-        """Return the error that says why this plug-in is of no use."""
+        """Return the error that explains why this plug-in cannot be used."""
         what = f"the {GROUPS.get(self.group, 'extension')} `{self.name}` of the package {self.distribution}"
         cause = " ".join(cause.split()).rstrip(".")
         return PluginError(
@@ -103,10 +103,11 @@ class Plugin:
 
 @dataclass(frozen=True)
 class Registry(Generic[T]):
-    """The extensions of one kind by name; nothing is imported before it is used.
+    """The extensions of one kind by name; nothing is imported until it is used.
 
-    ``built_in`` maps names onto ``module:attribute``. A name that is built in cannot be replaced by a plug-in, so that
-    installing a package never changes the meaning of an existing document; nor are packages searched for it.
+    ``built_in`` maps names to ``module:attribute``. A plug-in cannot replace a built-in name, so that installing a
+    package never changes the meaning of an existing document; installed packages are not even searched for built-in
+    names.
     """
 
     group: str
@@ -115,24 +116,24 @@ class Registry(Generic[T]):
 
     @property
     def noun(self) -> str:
-        """The kind of extension in words."""
+        """The kind of extension as a noun phrase for messages."""
         return GROUPS[self.group]
 
     def names(self) -> list[str]:
-        """Return every name: the built-in ones in their order, then the plug-ins', sorted."""
+        """Return all names: built-in ones in their order, then plug-ins, sorted."""
         return [*self.built_in, *(name for name in plugins(self.group) if name not in self.built_in)]
 
     def __contains__(self, name: object) -> bool:
         return name in self.built_in or name in plugins(self.group)
 
     def plugin(self, name: str) -> Plugin | None:
-        """Return the plug-in called ``name``; None where the name is built in or unknown."""
+        """Return the plug-in ``name``; None if the name is built in or unknown."""
         return None if name in self.built_in else plugins(self.group).get(name)
 
     def load(self, name: str) -> T:
-        """Import and return the extension called ``name``.
+        """Import and return the extension ``name``.
 
-        Raises :class:`UnknownExtensionError`, which lists the names there are, and :class:`PluginError`.
+        Raises :class:`UnknownExtensionError`, which lists the valid names, and :class:`PluginError`.
         """
         if name in self.built_in:
             module, _, attribute = self.built_in[name].partition(":")
@@ -152,13 +153,13 @@ class Registry(Generic[T]):
 
 
 def plugins(group: str) -> Mapping[str, Plugin]:
-    """Return the extensions that installed packages bring for ``group``, sorted by name."""
+    """Return the extensions that installed packages provide for ``group``, sorted by name."""
     return _scan(group, tuple(sys.path))
 
 
 @lru_cache(maxsize=64)
-def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: ARG001 - a key of the cache only
-    """Read the metadata of every package on ``path``: 2 ms for 100 packages, after 20 ms for the first import."""
+def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: ARG001 - used only as a cache key
+    """Read the metadata of every package on ``path``; takes 2 ms for 100 packages, after 20 ms for the first import."""
     from importlib.metadata import entry_points
 
     found: dict[str, Plugin] = {}
@@ -174,10 +175,10 @@ def _distribution(entry: EntryPoint) -> str:
 
 
 def import_file(path: Path, place: Path | None = None) -> ModuleType:
-    """Run a file as a module of its own, as if it lay at ``place``; it is not entered in ``sys.modules``."""
+    """Execute a file as a module, as if it were located at ``place``, without adding it to ``sys.modules``."""
     spec = spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
+        raise ImportError(f"{path} is not a Python file")
     module = module_from_spec(spec)
     if place is not None:
         module.__file__ = str(place)

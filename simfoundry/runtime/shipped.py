@@ -1,4 +1,4 @@
-"""Files that come with the package and are not its code: targets, example assets, a capture."""
+"""Data files distributed with the package: targets, example assets, a capture."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def shipped(path: str) -> Path:
-    """Return the folder ``path`` of the repository, as a checkout or a wheel has it.
+    """Return the folder ``path`` of the repository, in a checkout or an installed wheel.
 
-    A wheel has it below ``simfoundry/shipped``; ``force-include`` in pyproject.toml lists what goes there.
+    In a wheel it is below ``simfoundry/shipped``; ``force-include`` in pyproject.toml lists the folders.
     """
     installed = _PACKAGE / "shipped"
     return (installed if installed.is_dir() else _PACKAGE.parent) / path

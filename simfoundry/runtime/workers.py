@@ -1,11 +1,11 @@
-"""Subprocess workers: a crash, a hang or a flood of memory in a native library becomes an error message.
+"""Subprocess workers, which turn a crash, hang or memory exhaustion in a native library into an error message.
 
-A :class:`Worker` calls functions of modules by name. Its process starts with the first call, serves many, and is
-started anew after it has failed. Whatever a function prints goes to a log, whose last line is quoted if it fails. A
-:class:`WorkerPool` runs several workers side by side.
+A :class:`Worker` calls module functions by name. Its process starts at the first call, serves many calls, and is
+restarted after a failure. Output of the functions goes to a log, whose last line is quoted if a call fails. A
+:class:`WorkerPool` runs several workers in parallel.
 
 Unlike multiprocessing, loky and pebble, a worker needs no ``if __name__ == "__main__"`` in the caller's script, its
-timeout counts from the last sign of life, and its memory is bounded.
+timeout restarts at every progress report, and its memory is limited.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ from simfoundry.errors import SimfoundryError
 
 _START = "from simfoundry.runtime.workers import serve; serve()"
 WAIT_S = 2.0
-"""Interval between two progress reports on a call that goes on [s]: short enough to show that nothing hangs."""
+"""Interval between two progress reports on a running call [s], short enough to show that nothing hangs."""
 
 GRACE_S = 5.0
-"""Time that a worker has to close connections and videos before it is killed [s]; a clean exit takes under 1 s."""
+"""Time for a worker to close connections and videos before it is killed [s]; a clean exit takes under 1 s."""
 
 MIN_MEMORY = 6 * 2**30
-"""Least address space of a worker [bytes]: importing MuJoCo, PyBullet and USD together maps about 4 GiB."""
+"""Minimum address space of a worker [bytes]; importing MuJoCo, PyBullet and USD together maps about 4 GiB."""
 
 _LENGTH = 8
 """Size of the length field before each message [bytes]."""
 
 
 class WorkerError(SimfoundryError):
-    """A failed call: ``how`` its process ended and, in ``doing``, the last progress that it reported."""
+    """A failed call: ``how`` its process ended and, in ``doing``, its last progress report."""
 
     def __init__(self, how: str, doing: str = "") -> None:
         super().__init__(how)
@@ -53,14 +53,14 @@ class WorkerError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a call: ``seconds`` without a sign of life, and bytes of address space."""
+    """Limits of a call: ``seconds`` without a progress report, and bytes of address space."""
 
     seconds: float
     memory: int
 
     @classmethod
     def shared(cls, seconds: float, workers: int) -> Limits:
-        """Return limits that give each of ``workers`` its share of the machine's memory."""
+        """Return limits that give each of ``workers`` an equal share of the machine's memory."""
         if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
             total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
             return cls(seconds, max(MIN_MEMORY, total // workers))
@@ -68,7 +68,7 @@ class Limits:
 
 
 class Worker:
-    """A process that calls functions, one at a time; usable from several threads."""
+    """A process that calls functions one at a time; it can be used from several threads."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -87,10 +87,10 @@ class Worker:
     ) -> Any:
         """Call ``module:function`` with ``arguments`` in the process and return its result.
 
-        ``progress`` gets each text that the function passes to :func:`report_progress`. ``wait`` is called every
+        ``progress`` receives each text that the function passes to :func:`report_progress`. ``wait`` is called every
         :data:`WAIT_S` seconds with the duration of the call so far [s].
 
-        Raises :class:`WorkerError` if the function raises anything, crashes, or exceeds the limits.
+        Raises :class:`WorkerError` if the function raises any exception, crashes, or exceeds the limits.
         """
         with self._busy:
             last = ""
@@ -106,10 +106,10 @@ class Worker:
                 progress(content)
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End the process, whatever it does; one that is idle has ``grace_s`` seconds to run its exit functions."""
+        """End the process even if it is busy; an idle one has ``grace_s`` seconds to run its exit functions."""
         process, self._process = self._process, None
         atexit.unregister(self.close)
-        if process is not None and self._owner == os.getpid():  # else it belongs to the process that forked this one
+        if process is not None and self._owner == os.getpid():  # otherwise it belongs to the parent of a fork
             assert process.stdin is not None
             if grace_s > 0:
                 with suppress(OSError, subprocess.TimeoutExpired):
@@ -121,7 +121,7 @@ class Worker:
                 process.stdin.close()
 
     def _send(self, message: bytes) -> None:
-        """Send a call; restart a process that has died since the last one."""
+        """Send a call; restart the process if it has died since the last one."""
         for attempt in (1, 2):
             if self._process is not None and (self._owner != os.getpid() or self._process.poll() is not None):
                 self.close()
@@ -135,7 +135,7 @@ class Worker:
             except OSError:
                 self.close()
                 if attempt == 2:
-                    raise WorkerError("ended before it could be asked") from None
+                    raise WorkerError("ended before it received the call") from None
 
     def _receive(self, last: str, wait: Callable[[], object]) -> tuple[str, Any]:
         deadline = time.monotonic() + self.limits.seconds
@@ -147,7 +147,7 @@ class Worker:
             except queue.Empty:
                 if left <= WAIT_S:
                     self.close()
-                    raise WorkerError(f"gave no sign of life for {self.limits.seconds:g} s", last) from None
+                    raise WorkerError(f"did not respond for {self.limits.seconds:g} s", last) from None
                 wait()
         if message is not None:
             kind, content = pickle.loads(message)
@@ -159,7 +159,7 @@ class Worker:
         raise WorkerError(how, last)
 
     def _start(self) -> None:
-        path = os.pathsep.join(dict.fromkeys(str(Path(p).absolute()) for p in sys.path))  # "" is the current folder
+        path = os.pathsep.join(dict.fromkeys(str(Path(p).absolute()) for p in sys.path))  # "" means the current folder
         limits = [str(os.getpid()), str(self.limits.memory)]
         self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._answers = queue.SimpleQueue()
@@ -175,11 +175,11 @@ class Worker:
         atexit.register(self.close)
 
     def _last_output(self) -> str:
-        """Return the last line of the log as a clause."""
+        """Return the last line of the log as a clause of a message."""
         assert self._log is not None
         self._log.seek(0)
         lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
-        return f"; it said: {lines[-1][:200]}" if lines else ""
+        return f"; its last output was: {lines[-1][:200]}" if lines else ""
 
 
 def _run(
@@ -189,9 +189,9 @@ def _run(
     started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError],
     answers: queue.SimpleQueue[bytes | None],
 ) -> None:
-    """Start a process and pass on its answers; None at its end.
+    """Start a process and pass on its answers, then None when it ends.
 
-    The thread that starts a process must live as long as the process: on Linux the process dies with it.
+    The thread that starts a process must live as long as the process, because on Linux the process dies with it.
     """
     try:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment)
@@ -217,13 +217,13 @@ def _ending(code: int) -> str:
 
 
 _send_message: Callable[[str, Any], None] | None = None
-"""Sends a message to the calling process; None outside a worker."""
+"""Send a message to the calling process; None outside a worker."""
 
 _exit_functions: list[Callable[[], object]] = []
 
 
 def report_progress(text: str) -> None:
-    """Report progress to the caller of a :class:`Worker`; it counts as a sign of life. No effect outside a worker."""
+    """Report progress to the caller of a :class:`Worker`, which restarts its timeout. No effect outside a worker."""
     if _send_message is not None:
         _send_message("progress", text)
 
@@ -231,20 +231,21 @@ def report_progress(text: str) -> None:
 def at_worker_exit(function: Callable[[], object]) -> None:
     """Register a function to run when this worker's calls end, before the interpreter's own exit functions.
 
-    MuJoCo terminates the GL driver by ``atexit`` ahead of all that was registered earlier; worlds close before that.
+    MuJoCo's ``atexit`` function terminates the GL driver before all functions registered earlier; worlds must close
+    first.
     """
     if function not in _exit_functions:
         _exit_functions.append(function)
 
 
 def serve() -> None:
-    """Answer calls from standard input until it ends: the main loop of a worker's process."""
+    """Answer calls from standard input until it is closed; this is the main loop of a worker process."""
     global _send_message
     parent, memory = map(int, sys.argv[1:])
     _confine(parent, memory)
     calls = os.fdopen(os.dup(0), "rb")
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # libraries print to it
+    os.dup2(2, 1)  # libraries print to standard output
 
     def send(kind: str, content: Any) -> None:
         message = pickle.dumps((kind, content))
@@ -257,22 +258,22 @@ def serve() -> None:
         try:
             send("done", _resolve(function)(*arguments))
         except MemoryError:
-            send("raised", f"ran out of the {memory / 2**30:.3g} GiB of memory that it may use")
+            send("raised", f"exceeded its memory limit of {memory / 2**30:.3g} GiB")
         except Exception as error:
-            send("raised", f"broke ({type(error).__name__}: {error})")
+            send("raised", f"failed ({type(error).__name__}: {error})")
     for at_exit in _exit_functions:
         at_exit()
 
 
 def _resolve(function: str) -> Callable[..., Any]:
-    """Return the function that ``module:function`` names."""
+    """Return the function at ``module:function``."""
     module, name = function.split(":")
     found: Callable[..., Any] = getattr(import_module(module), name)
     return found
 
 
 def _confine(parent: int, memory: int) -> None:
-    """Bound the memory of this process, leave interrupts to its parent, and die with the parent (on Linux)."""
+    """Limit the memory of this process, leave interrupts to its parent, and die with the parent (on Linux)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform.startswith("linux"):
         import ctypes
@@ -282,19 +283,19 @@ def _confine(parent: int, memory: int) -> None:
         import resource
 
         if os.getppid() != parent:
-            sys.exit("the parent process is gone")
+            sys.exit("the parent process has ended")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
         resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
 
 
 class WorkerPool:
-    """Several workers that call functions side by side; results come in the order in which they are done."""
+    """Several workers that call functions in parallel; results arrive in order of completion."""
 
     def __init__(
         self, size: int, limits: Limits, progress: Callable[[Any, str], object] = lambda key, text: None
     ) -> None:
-        """Start ``size`` threads; ``progress`` gets the key of a call and each text it reports, in any thread."""
+        """Start ``size`` threads; ``progress`` receives the key of a call and each text it reports, in any thread."""
         self.size, self._progress, self._closed = size, progress, False
         self._calls: queue.SimpleQueue[tuple[Any, str, tuple[Any, ...], int] | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
@@ -304,16 +305,16 @@ class WorkerPool:
             thread.start()
 
     def submit(self, key: Any, function: str, *arguments: Any, attempts: int = 1) -> None:
-        """Queue a call of ``module:function``; a call whose process fails is made up to ``attempts`` times."""
+        """Queue a call of ``module:function``; if its process fails, it is called again, up to ``attempts`` times."""
         self._calls.put((key, function, arguments, attempts))
 
     def next(self) -> tuple[Any, Any]:
-        """Wait for a call to end: its key, and its result or its :class:`WorkerError`."""
+        """Wait for a call to end; return its key, and its result or its :class:`WorkerError`."""
         return self._results.get()
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End the processes, also those that are busy; idle ones have ``grace_s`` seconds to run exit functions."""
-        self._closed = True  # first: a call that is cut off now is not made once more
+        """End all processes, including busy ones; idle ones have ``grace_s`` seconds to run exit functions."""
+        self._closed = True  # set first, so that calls interrupted now are not retried
         for worker in self._workers:
             self._calls.put(None)
             worker.close(grace_s)

@@ -1,1 +1,1 @@
-"""The language: typed documents, their text, and everything that can be wrong with them."""
+"""The document language: typed models, YAML text, checks, and changes."""

@@ -1,4 +1,4 @@
-"""Join a document with those that it ``extends``; every value keeps the file that it comes from."""
+"""Join a document with the documents that it ``extends``; every value keeps a reference to its source file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, read
 
 MAX_BASES = 16
-"""Documents in a chain of `extends`: the bound keeps hostile input from being read without end."""
+"""Largest number of documents in a chain of `extends`, which bounds the work for malicious input."""
 
 EXCLUSIVE = (
     ("shape", "asset"),
@@ -35,7 +35,7 @@ EXCLUSIVE = (
     ("shape", "mesh"),
     ("all", "any", "not"),
 )
-"""Keys of which a mapping has one: what changes a document replaces one of them by another."""
+"""Groups of mutually exclusive keys; if an overlay sets one, it replaces the others of its group in the base."""
 
 _RIVALS: dict[str, set[str]] = {
     key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in chain.from_iterable(EXCLUSIVE)
@@ -43,9 +43,9 @@ _RIVALS: dict[str, set[str]] = {
 
 
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
-    """Return the joined document, findings, and the files that it extends, the nearest first.
+    """Return the joined document, findings, and the files that it extends, nearest first.
 
-    Where a base cannot be used the document comes back as it is, with the reason among the findings.
+    If a base cannot be used, the document is returned unchanged, and a finding gives the reason.
     """
     chained, findings, bases = [document], list[Diagnostic](), list[Path]()
     path = Path(document.file)
@@ -75,7 +75,7 @@ def _keys(node: Node) -> dict[str, Node]:
 
 
 def _base(document: Document, path: Path, kind: str, root: Path, before: list[Path]) -> Document | Diagnostic:
-    """Return the document that one extends, or a finding that says why it cannot be used."""
+    """Return the document that ``document`` extends, or a finding that explains why it cannot be used."""
     written = _keys(document.root)["extends"].value
     place = ("extends",)
     if not isinstance(written, str):
@@ -88,7 +88,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
         return document.finding(wrong.code, place, str(wrong), wrong.hint)
     if any(target == b.resolve() for b in before):
         ring = " extends ".join(f"`{b.name}`" for b in [*before, target])
-        return document.finding("SF207", place, f"{ring}, which is a ring", "let one of them stand alone")
+        return document.finding("SF207", place, f"{ring}, which is a cycle", "let one of them stand alone")
     if len(before) > MAX_BASES:
         return document.finding("SF005", place, f"more than {MAX_BASES} documents extend each other")
     shown = Path(os.path.normpath(path.parent / written))
@@ -106,12 +106,12 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
 
 
 def _own(node: Node, file: str) -> None:
-    """Mark every value with the file that it comes from."""
+    """Mark every value with its source file."""
     todo = [node]
     while todo:
         node = todo.pop()
         if node.file == file and node.children:
-            continue  # an alias: done before
+            continue  # an alias that was already marked
         node.file = file
         children = node.children
         todo += children.values() if isinstance(children, dict) else children or ()
@@ -119,7 +119,7 @@ def _own(node: Node, file: str) -> None:
 
 @dataclass
 class _Joining:
-    """Joins the document ``file`` with its base."""
+    """State of joining the document ``file`` with its base."""
 
     kind: str
     file: str
@@ -127,7 +127,7 @@ class _Joining:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
 
     def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
-        """Return ``base`` changed by ``over``: mappings key by key, all else replaced, null removes."""
+        """Return ``base`` overridden by ``over``: mappings are joined by key, null removes, others are replaced."""
         if not isinstance(base.children, dict) or not isinstance(over.children, dict):
             return over
         children, keys = dict(base.children), dict(base.keys)
@@ -147,7 +147,7 @@ class _Joining:
         return _mapping(over, children, {key: keys[key] for key in children})
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
-        """Return the keys that ``key`` replaces; none in mappings by name."""
+        """Return the keys that ``key`` replaces; empty for named mappings."""
         rivals = sorted(_RIVALS.get(key, set()) & children.keys())
         if rivals:
             from simfoundry.spec.models.types import is_mapping, models_at
@@ -170,7 +170,7 @@ def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, i
 
 
 def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
-    """Make the file references of a base relative to the folder of the upper document."""
+    """Make the file references of a base relative to the folder of the document that extends it."""
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return

@@ -1,4 +1,4 @@
-"""Diagnostics: findings with a code, a place, what was expected and what to do."""
+"""Diagnostics: findings with a code, a location, a message, and a hint."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 SHOWN = 160
-"""Columns of a source line that are shown: a wide terminal."""
+"""Longest part of a source line that is shown [columns]: the width of a wide terminal."""
 
 
 class Severity(StrEnum):
@@ -23,9 +23,9 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a place: ``line`` and ``column`` count from 1; 0 means the whole file.
+    """Finding at a location; ``line`` and ``column`` count from 1, and 0 means the whole file.
 
-    ``about`` names the things that it concerns beside those of ``path``, for an ``allow`` that silences it for one.
+    ``about`` contains the names that the finding concerns besides those in ``path``; ``allow`` can silence it by name.
     """
 
     code: str
@@ -40,7 +40,7 @@ class Diagnostic:
 
     @property
     def document(self) -> str:
-        """The file alone, if ``file`` also names a place in it, as ``a.usda</World/cup>``."""
+        """Return the file without a location inside it: ``a.usda`` for ``a.usda</World/cup>``."""
         return self.file.partition("</")[0]
 
     def to_json(self) -> dict[str, Any]:
@@ -49,7 +49,7 @@ class Diagnostic:
 
 
 class SpecError(Exception):
-    """Findings that stop the work; all of them are shown."""
+    """Error with findings that prevent further work; all of them are shown."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)
@@ -63,7 +63,7 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Return our key or word for each word of other formats and of people."""
+    """Return the key or value of our language for each synonym and each term of other formats."""
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
@@ -71,14 +71,14 @@ def _synonyms() -> dict[str, str]:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """Return a hint with the most similar choice, or with the valid choices if none is similar."""
+    """Return a hint with the most similar choice, or with all valid choices if none is similar."""
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
     sought = _plain(word)
     meant = _plain(_synonyms().get(sought, ""))
     if meant in plain:
         return f"did you mean `{plain[meant]}`?"
-    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparing takes its time
+    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparison is slow for many names
     match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:
         return f"did you mean `{plain[match[0]]}`?"
@@ -94,10 +94,10 @@ def _plain(name: str) -> str:
 
 
 def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mapping[str, str] | None = None) -> str:
-    """Print findings like a compiler: place, message, the line with a caret, the hint.
+    """Format findings like a compiler: location, message, source line with a caret, and hint.
 
-    Each line of the documents is read from the file that the finding names, unless ``texts`` has what stands in it.
-    With ``colour``, for a terminal.
+    Source lines are read from the file of the finding unless ``texts`` contains its content. With ``colour``, the
+    output contains terminal escape sequences.
     """
     sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
 
@@ -132,7 +132,7 @@ def _painted(text: str, style: str) -> str:
 
 
 def printable(line: str) -> str:
-    """Escape the characters of a line that could control a terminal."""
+    """Escape the control characters of a line."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
@@ -150,5 +150,5 @@ def _line_of(d: Diagnostic, sources: dict[str, list[str]]) -> str | None:
 
 
 def _single(line: str) -> str:
-    """Return a line in which every character takes one column, so that the caret is in place."""
+    """Return a line in which every character takes one column, so that the caret is aligned."""
     return "".join(c if c.isprintable() else " " for c in line)

@@ -1,4 +1,4 @@
-"""Files that documents refer to: existing, of the right kind, and inside the project."""
+"""Resolve files that documents refer to, and check existence, file type, and project containment."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 ASSET_SUFFIX = ".asset.yaml"
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
-"""Characters of a file reference: far below the 4096 of Linux, so that a project folder fits before it."""
+"""Longest file reference [characters]: well below the 4096 of Linux, to leave room for the project folder."""
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
 class FileError(Exception):
-    """Reason why a document cannot use a file."""
+    """Error with the reason why a document cannot use a file."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -27,12 +27,12 @@ class FileError(Exception):
 
 
 def is_document(reference: str) -> bool:
-    """True if an object's ``asset`` is an asset document rather than a mesh."""
+    """Return True if an object's ``asset`` is an asset document rather than a mesh."""
     return reference.lower().endswith(ASSET_SUFFIX)
 
 
 def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
-    """Return package, robot and path of a model that a package downloads on first use; None for other files.
+    """Return the package, robot, and path of a model that a package downloads on first use; None for other files.
 
     The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
     """
@@ -41,9 +41,9 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
 
 
 def located(reference: str, document: Path) -> Path:
-    """Return the file that ``reference`` means in ``document``: a relative path, or ``pkg:package/path``.
+    """Return the file that ``reference`` in ``document`` refers to: a relative path, or ``pkg:package/path``.
 
-    Raises :class:`FileError` where there is no such package.
+    Raises :class:`FileError` if the package does not exist.
     """
     named = _PACKAGE.match(reference)
     if named is None:
@@ -51,7 +51,7 @@ def located(reference: str, document: Path) -> Path:
     from importlib.util import find_spec
 
     package, path = named.groups()
-    spec = find_spec(package)  # finds the folder and runs nothing
+    spec = find_spec(package)  # locates the folder without running any code
     if spec is None or not spec.submodule_search_locations:
         hint = f"install it (`pip install {package}`), or give a path relative to this document"
         raise FileError("SF203", f"there is no package `{package}` here", hint)
@@ -63,9 +63,9 @@ def located(reference: str, document: Path) -> Path:
 
 
 def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
-    """Return the file that ``reference`` means, if it is in the project ``root`` or an installed package.
+    """Return the file that ``reference`` refers to, which must be in the project ``root`` or an installed package.
 
-    Raises :class:`FileError`.
+    Raises :class:`FileError` otherwise.
     """
     if "\0" in reference or "\\" in reference or len(reference) > MAX_PATH:
         hint = f"separate folders with `/`, and use at most {MAX_PATH} characters"
@@ -74,8 +74,8 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
         packaged = _PACKAGE.match(reference) is not None
         target = located(reference, document)
         return _found(reference, target, target.parent if packaged else root, suffixes)
-    except (OSError, RuntimeError) as error:  # a ring of links, a folder that may not be read, a name too long
-        reason = getattr(error, "strerror", None) or "its links form a ring"
+    except (OSError, RuntimeError) as error:  # a cycle of links, an unreadable folder, or a long name
+        reason = getattr(error, "strerror", None) or "its symbolic links form a cycle"
         raise FileError("SF203", f"`{reference}` cannot be reached: {reason}") from None
 
 
@@ -98,7 +98,7 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
 
 
 def _or_mark(target: Path, root: Path) -> str:
-    """Suggest a marker in a folder that also holds the file, for a document without a project."""
+    """Suggest a project marker in a folder that contains both files, for a document without a project."""
     from simfoundry.spec.project import Project
 
     common = Path(os.path.commonpath([target.parent, root]))
@@ -108,6 +108,6 @@ def _or_mark(target: Path, root: Path) -> str:
 
 
 def shown(reference: str, document: Path) -> Path:
-    """Return the path of a file as a person would write it, relative if the document's is."""
+    """Return the path of a file for display, relative if the path of the document is."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
     return plain if plain.resolve() == target else target

@@ -1,4 +1,4 @@
-"""Write the files that are generated from the models: ``python -m simfoundry.spec.generated [--check]``."""
+"""Write files generated from the models: ``python -m simfoundry.spec.generated [--check]``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Write files that are out of date; with ``--check``, only report them. Returns the exit status."""
+    """Write files that are out of date, or only report them with ``--check``; return the exit status."""
     root = Path.cwd()
     if not (root / "schemas").is_dir():
         print("run this in the root of the repository: there is no folder `schemas` here", file=sys.stderr)
@@ -35,7 +35,7 @@ def main(arguments: list[str]) -> int:
     differing = stale(root)
     if "--check" in arguments:
         for path in differing:
-            print(f"{path} is not what the models say; run `make schemas`", file=sys.stderr)
+            print(f"{path} does not match the models; run `make schemas`", file=sys.stderr)
         return 1 if differing else 0
     for path in differing:
         write_atomically(root / path, generated()[path].encode())

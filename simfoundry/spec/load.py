@@ -1,4 +1,4 @@
-"""Load documents: read the text, join what it extends, and check types, names and files."""
+"""Load documents: read the text, join it with its bases, and check types, names, and files."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, parse, read
 
 Known = dict[tuple[str, str], Loaded | None]
-"""Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""
+"""Documents read so far, by resolved path and requested kind, so that each is read only once."""
 
 _OTHER_FORMATS = dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled:load_usd")
-"""Functions that read documents in other files than YAML, by suffix.
+"""Functions that read documents from files other than YAML, by suffix.
 
-They belong to a higher layer: they are named here, and imported for the first such file.
+They belong to a higher layer, so they are listed by name and imported on first use.
 """
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
     """Read and check one document; errors are returned as findings, not raised.
 
-    Documents that it uses are taken from ``known`` where they are, and added to it. With ``text``, that is checked as
-    if it were what the file holds. A USD file is read as the scene that it was compiled from.
+    Documents that it uses are looked up in ``known`` and added to it. If ``text`` is given, it is checked as if it were
+    the content of the file. A USD file is read as the scene that it was compiled from.
     """
     known = {} if known is None else known
     if text is None and path.suffix.lower() in _OTHER_FORMATS:
@@ -47,13 +47,13 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding), document)
     document, findings, bases = compose(document, kind, root)
-    if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of what is said
+    if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
         return Loaded(path, root, None, tuple(findings), document, tuple(bases))
     return checked(Loaded(path, root, None, tuple(findings), document, tuple(bases)), kind, known)
 
 
 def checked(read: Loaded, kind: str, known: Known) -> Loaded:
-    """Check a document that was read and joined: its types, names and files."""
+    """Check the types, names, and files of a document that was read and joined."""
     path, root, document, bases, findings = read.path, read.root, read.document, read.bases, list(read.findings)
     assert document is not None
     model = model_of(kind)
@@ -93,7 +93,7 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
 
 
 def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
-    """Load a document that another uses; None for another kind, which is not read further: it might refer back."""
+    """Load a document that another uses; None for other kinds, which are not read further to avoid cycles."""
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:

@@ -1,4 +1,4 @@
-"""A document that was read and checked, with its project."""
+"""Documents that were read and checked, with their project."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from simfoundry.spec.yaml.text import Document
 
 @dataclass(frozen=True)
 class Loaded:
-    """A checked document.
+    """Checked document.
 
-    ``spec`` is its typed content with all that it extends (None where errors forbid one), ``document`` the text behind
-    it (None where it cannot be read), ``bases`` the files that it extends, ``uses`` the documents that it refers to, by
-    resolved path: assets, and the scene of a task. ``silenced`` are warnings that its ``allow`` took away.
+    ``spec`` is its typed content, including everything that it extends (None if there are errors); ``document`` is the
+    underlying text (None if it cannot be read). ``bases`` are the files that it extends. ``uses`` contains the
+    documents that it refers to by resolved path: assets, and the scene of a task. ``silenced`` are warnings that its
+    ``allow`` suppressed.
     """
 
     path: Path
@@ -31,7 +32,7 @@ class Loaded:
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """Errors, with those of the documents in use."""
+        """Return the errors, including those of the documents that it uses."""
         return [d for d in self.all_findings() if d.severity is Severity.ERROR]
 
     def all_findings(self) -> list[Diagnostic]:
@@ -39,23 +40,23 @@ class Loaded:
         return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
     def files(self) -> list[Path]:
-        """Return all files that this document was read from: itself, its bases, and those of documents in use."""
+        """Return all files that this document was read from: itself, its bases, and those of documents that it uses."""
         return [self.path, *self.bases, *(file for used in self.uses.values() for file in used.files())]
 
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
-        """Return an error at a place of this document."""
+        """Return an error at a location in this document."""
         if self.document is None:
             return Diagnostic(code, Severity.ERROR, message, str(self.path), 0, 0, ".".join(map(str, path)), hint)
         return self.document.finding(code, path, message, hint)
 
     def file(self, reference: str) -> Path:
-        """Return the file that a path in this document means."""
+        """Return the file that a path in this document refers to."""
         return located(reference, self.path)
 
     def used(self, reference: str) -> Loaded | None:
-        """Return the document that a path in this document means, if it was read."""
+        """Return the document that a path in this document refers to, if it was read."""
         return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
-        """Return the file as a person would write it, relative if the path of this document is."""
+        """Return the path of a file for display, relative if the path of this document is."""
         return shown(reference, self.path)

@@ -1,4 +1,4 @@
-"""The project of a document: its folder and its marker ``simfoundry.yaml``."""
+"""Project of a document: its folder and its marker file ``simfoundry.yaml``."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
 MARKER = "simfoundry.yaml"
-"""The file that marks the topmost folder of a project; it may be empty."""
+"""File that marks the root folder of a project; it may be empty."""
 
 
 MARKING = "# The topmost folder of a SimFoundry project: what its documents name lies below it.\n"
-"""What a new marker says."""
+"""Content of a new marker file."""
 
 
 class ProjectSpec(Model):
@@ -39,25 +39,25 @@ class ProjectSpec(Model):
 
 @dataclass(frozen=True)
 class Project:
-    """A project folder, which holds all files of its documents."""
+    """Project folder, which contains all files of its documents."""
 
     root: Path
 
     @property
     def marker(self) -> Path:
-        """Path of the marker; a repository without one is a project, too."""
+        """Return the path of the marker file; a repository without one is a project as well."""
         return self.root / MARKER
 
     @property
     def is_marked(self) -> bool:
-        """True if a marker or a repository makes the folder a project."""
+        """Return True if the folder contains a marker file or is a repository."""
         return self.marker.exists() or (self.root / ".git").exists()
 
     @cached_property
     def exclude(self) -> tuple[str, ...]:
-        """Patterns of files and folders that commands over folders skip.
+        """Return the patterns of files and folders that commands on folders skip.
 
-        Raises :class:`SpecError` where the marker cannot be read.
+        Raises :class:`SpecError` if the marker file cannot be read.
         """
         if not self.marker.is_file():
             return ()
@@ -73,9 +73,9 @@ class Project:
         return spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
-        """True if a command over the folder ``named`` skips ``path``.
+        """Return True if a command on the folder ``named`` skips ``path``.
 
-        What a person names is never passed over: only what lies below ``named`` counts.
+        Only paths below ``named`` can be skipped, never ``named`` itself.
         """
         if not self.exclude:
             return False
@@ -90,8 +90,8 @@ class Project:
 
 
 def find_project(path: Path) -> Project | None:
-    """Find the project of a file or folder: the nearest folder upwards with ``simfoundry.yaml``, else ``.git``."""
-    real = Path(os.path.realpath(path))  # unlike `Path.resolve`, also of links that form a ring
+    """Find the project of a file or folder: the nearest parent folder with ``simfoundry.yaml``, else with ``.git``."""
+    real = Path(os.path.realpath(path))  # unlike `Path.resolve`, it also works for cyclic symbolic links
     start = real if real.is_dir() else real.parent
     folders = (start, *start.parents)
     for mark in (MARKER, ".git"):
@@ -102,17 +102,17 @@ def find_project(path: Path) -> Project | None:
 
 
 def project_root(path: Path) -> Path:
-    """Return the folder that must hold a document's files: that of its project, or else its own."""
+    """Return the folder that must contain a document's files: its project folder, or else its own folder."""
     project = find_project(path)
     return project.root if project is not None else Path(os.path.realpath(path)).parent
 
 
 def common_project(*files: Path) -> Project:
-    """Return the nearest project that holds all ``files``, which need not exist.
+    """Return the nearest project that contains all ``files``, which need not exist.
 
-    Where there is none, it is the working folder if they lie below it, else the closest folder that holds them all; it
-    is not marked yet. Raises :class:`NoProjectError` where no folder can hold them: one of them lies in a project
-    inside of it, or the folder is everybody's, and marking it would take in whatever else lies there.
+    If there is none, return an unmarked project: the working folder if it contains all files, else the closest common
+    folder. Raises :class:`NoProjectError` if that is impossible, because one of the files belongs to a nested project
+    or because the folder is shared and marking it would include unrelated files.
     """
     folders = [Path(os.path.realpath(file.absolute().parent)) for file in files]
     try:
@@ -139,16 +139,16 @@ def common_project(*files: Path) -> Project:
 
 
 class NoProjectError(Exception):
-    """Reason why files cannot be in one project, in one sentence."""
+    """Error with the reason why files cannot be in one project, in one sentence."""
 
 
 def markers(project: Project) -> dict[Path, str]:
-    """Return the marker to write for a project, by path; nothing if it is marked or its folder is shared."""
+    """Return the marker file to write for a project, by path; empty if it is marked or its folder is shared."""
     return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
 
 
 def _is_shared(folder: Path) -> bool:
-    """True for folders that belong to no single project: of the system, of a user, of temporary files."""
+    """Return True for folders that do not belong to a single project: system, home, and temporary folders."""
     return any(Path(os.path.realpath(owned)).is_relative_to(folder) for owned in (Path.home(), gettempdir()))
 
 
@@ -157,14 +157,14 @@ def _listed(files: Iterable[Path]) -> str:
 
 
 def _parts(path: Path, root: Path) -> tuple[str, ...]:
-    """Return the names from ``root`` to ``path``, whose own link is not followed; none if it lies elsewhere."""
+    """Return the path components from ``root`` to ``path``, without resolving a final link; empty if outside."""
     whole = Path(os.path.normpath(path.absolute()))
     real = Path(os.path.realpath(whole.parent)) / whole.name
     return real.relative_to(root).parts if real.is_relative_to(root) else ()
 
 
 def _matches(parts: Sequence[str], pattern: Sequence[str]) -> bool:
-    """True if the names of a path match a pattern, name by name."""
+    """Return True if the components of a path match a pattern one by one."""
     if not pattern:
         return not parts
     if pattern[0] == "**":

@@ -1,1 +1,2 @@
-"""Targets: simulators as data. A profile names a backend and says what its simulator does with the files."""
+"""Targets: simulators described as data. A profile names a backend and states what its simulator does with the
+files."""

@@ -1,4 +1,4 @@
-"""Many scenes compiled side by side, each in a process that may crash or hang: the others go on."""
+"""Compilation of many scenes in parallel processes; a crash or hang in one does not affect the others."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 
 SILENCE_S = 900.0
-"""Longest time that a worker may report nothing [s]: the longest decomposition measured took 300 s."""
+"""Longest time without a progress report from a worker [s]; the longest decomposition measured took 300 s."""
 
 FUNCTION = "simfoundry.targets.batch:compile_job"
-"""What the workers call."""
+"""The function that the workers call."""
 
 COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 
@@ -34,10 +34,10 @@ class CompileJob:
 
 @dataclass(frozen=True)
 class CompileOutcome:
-    """The outcome of a job: its ``state``, the entry file by target, the number of losses, and the error if it failed.
+    """The outcome of a job: its ``state``, the entry file by target, the losses, and the error if it failed.
 
-    ``losses`` counts, by target, what was approximated or dropped. ``error`` is a sentence; ``findings`` are of the
-    documents.
+    ``losses`` counts the approximated and dropped features by target. ``error`` is a sentence; ``findings`` are the
+    diagnostics of the documents.
     """
 
     scene: str
@@ -49,7 +49,7 @@ class CompileOutcome:
     findings: tuple[Diagnostic, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         data = asdict(self) | {"findings": [finding.to_json() for finding in self.findings]}
         return {key: value for key, value in data.items() if value or key in ("targets", "losses")}
 
@@ -61,10 +61,10 @@ def compile_all(
     limits: Limits | None = None,
     function: str = FUNCTION,
 ) -> list[CompileOutcome]:
-    """The outcomes of jobs, in order, from ``workers`` processes that call ``function`` for each.
+    """Compile all jobs with ``workers`` processes that call ``function``, and return the outcomes in order.
 
-    ``report`` hears, from any thread, what is being done and how many jobs are done. A process that crashes, hangs or
-    needs too much memory fails its job, with what it was doing, and another takes its place.
+    ``report`` receives, from any thread, the current activity and the number of completed jobs. If a process crashes,
+    hangs or runs out of memory, its job fails with that activity in the error, and a new process takes its place.
     """
     outcomes: dict[int, CompileOutcome] = {}
     size = min(workers, len(jobs))
@@ -86,13 +86,13 @@ def compile_all(
 
 
 def _failure(job: CompileJob, error: WorkerError) -> CompileOutcome:
-    """The outcome of a job whose process failed."""
-    during = f", at {error.doing}" if error.doing else ""
+    """Return the outcome of a job whose process failed."""
+    during = f", while processing {error.doing}" if error.doing else ""
     return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
-    """Compile one scene in this process, unless its build is up to date; what is wrong with it is in the outcome."""
+    """Compile one scene in this process unless its build is up to date; errors are part of the outcome."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
@@ -126,20 +126,20 @@ def compile_job(job: CompileJob) -> CompileOutcome:
 
 
 def _outcome(job: CompileJob, state: str, artifacts: Sequence[Artifact]) -> CompileOutcome:
-    """The outcome of a job that wrote ``artifacts``."""
+    """Return the outcome of a job that wrote ``artifacts``."""
     entries = {a.target: str(job.out / a.target / a.entry) for a in artifacts}
     return CompileOutcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
 
 
 def _object(loaded: Loaded, name: str) -> str:
-    """An object by its name, with the file of its asset, and after a colon what of it is being done."""
+    """Return an object's name with its asset file and, after a colon, the current activity."""
     name, colon, doing = name.partition(":")
     asset = loaded.spec.objects[name].asset if isinstance(loaded.spec, SceneSpec) else None
     return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing
 
 
 def _read_back(job: CompileJob) -> CompileOutcome:
-    """The outcome of a build that is up to date."""
+    """Return the outcome of a build that is up to date."""
     import json
 
     from simfoundry.targets.build import LOSSES, MANIFEST
@@ -156,9 +156,9 @@ def _read_back(job: CompileJob) -> CompileOutcome:
 
 
 def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[CompileJob]:
-    """A job for each scene document among ``paths`` and below its folders, whose shape the builds keep.
+    """Yield a job for each scene document among ``paths`` and below its folders; builds keep the folder structure.
 
-    What lies in ``out``, and files and folders with a dot in front, are passed over.
+    Everything in ``out``, and files and folders whose names start with a dot, are skipped.
     """
     for path in paths:
         if not path.is_dir():

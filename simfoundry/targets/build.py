@@ -1,4 +1,4 @@
-"""A scene to a build folder: one folder a target, and one report of what was lost."""
+"""Build folders: one folder per target, and one report of the losses."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from simfoundry.targets.find import Target, find_target
 from simfoundry.targets.report import report
 
 TARGETS = tuple(sorted(BACKENDS.names()))
-"""The targets of a build where nobody says which: the plain backends."""
+"""The default targets of a build: the plain backends."""
 
 LOSSES = "loss.json"
-"""What became of each field in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
+"""The report of each feature in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
 
 RECORD = "build.json"
-"""What a build was made from, in the build folder; see :mod:`simfoundry.targets.inputs`."""
+"""The record of a build's inputs, in the build folder; see :mod:`simfoundry.targets.inputs`."""
 
 MANIFEST = "manifest.json"
-"""The hashes of the files of a target, in its folder."""
+"""The hashes of a target's files, in its folder."""
 
 
 class TargetsError(SimfoundryError):
-    """Targets that could not be compiled; all others are written.
+    """An error for targets that could not be compiled; all other targets are written.
 
-    ``artifacts`` are those that were written, ``failures`` say, by target, why each of the others could not be.
+    ``artifacts`` are those that were written; ``failures`` gives the reason for each of the other targets.
     """
 
     def __init__(self, artifacts: list[Artifact], failures: Mapping[str, str]) -> None:
@@ -49,11 +49,13 @@ def build(
 ) -> list[Artifact]:
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 
-    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled, and written beside
-    its place, before the first folder is replaced; each is replaced in one step. ``record`` goes to ``out/build.json``,
-    last of all, with the hashes of the manifests. Raises :class:`OutputError` where a folder holds files that no build
-    wrote, or that were edited since, unless ``force``; and, when the others are written, without a record,
-    :class:`TargetsError` where a target fails. The folder of one that fails stays as it was.
+    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled and written to
+    staging folders before the first target folder is replaced; each replacement is atomic. ``record`` is written last,
+    to ``out/build.json``, with the hashes of the manifests.
+
+    Raises :class:`OutputError` if a folder holds files that no build wrote, or that were edited since, unless ``force``
+    is set. Raises :class:`TargetsError` if a target fails; the others are then written, without a record, and the
+    folder of the failed target is unchanged.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
@@ -76,13 +78,13 @@ def build(
         for name in reports:
             os.replace(staging / name, out / name)
     if failures:
-        (out / RECORD).unlink(missing_ok=True)  # the folders are of two builds from now on
+        (out / RECORD).unlink(missing_ok=True)  # from here on, the folders may belong to two builds
         raise TargetsError(artifacts, failures)
     return artifacts
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """The artifacts of those targets that compile, and by name why the others do not."""
+    """Return the artifacts of the targets that compile, and the reasons of failure of the others by name."""
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
@@ -91,14 +93,14 @@ def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifac
         except (SimfoundryError, InvalidSceneError) as error:
             failures[target.name] = str(error)
         except ModuleNotFoundError as error:
-            failures[target.name] = f"{error.name} is not installed; `simfoundry doctor` says how to get it"
-        except Exception as error:  # a backend that breaks must not take the other targets with it
+            failures[target.name] = f"{error.name} is not installed; `simfoundry doctor` shows how to install it"
+        except Exception as error:  # a failing backend must not affect the other targets
             failures[target.name] = _unforeseen(error)
     return artifacts, failures
 
 
 def _unforeseen(error: Exception) -> str:
-    """A fault of our own in a sentence, with the line of the code that people can report."""
+    """Describe an internal error in a sentence, with the line of code to report."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     said = " ".join(f"{type(error).__name__}: {error}".split())
     where = f"{Path(frame.filename).name}:{frame.lineno}"
@@ -106,7 +108,7 @@ def _unforeseen(error: Exception) -> str:
 
 
 def is_current(out: Path, record: Mapping[str, object]) -> bool:
-    """Return true if ``out`` holds exactly, byte by byte, what was built with this ``record``."""
+    """Return true if ``out`` holds exactly, byte for byte, the build with this ``record``."""
     try:
         built = json.loads((out / RECORD).read_bytes())
         hashes: dict[str, str] = built["outputs"]
@@ -132,7 +134,7 @@ def _json(data: object) -> bytes:
 
 
 def _ensure_ours(folder: Path) -> None:
-    """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name, or edits."""
+    """Raise :class:`OutputError` if ``folder`` holds edited files or files that its own manifest does not list."""
     if not folder.is_dir():
         return
     try:

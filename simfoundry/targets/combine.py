@@ -1,4 +1,4 @@
-"""Losses by an engine's own rule for the friction and restitution of a pair, where a spec means the geometric mean."""
+"""Losses due to an engine's rule for combining friction and restitution, which is the geometric mean in a scene."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
 
 
 def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
-    """A loss for friction and restitution each, with the pair of the scene that is farthest off."""
+    """Yield a loss each for friction and restitution, with the pair of the scene that has the largest error."""
     for field in ("friction", "restitution"):
         rule = getattr(combines, field)
         worst = None if rule is None else _worst(scene, field, RULES[rule][1])
         if worst is not None:
             a, b, meant, got = (number(float(format(v, ".3g"))) for v in worst)
             words = RULES[rule][0]
-            reason = f"{simulator} takes {words} of a pair: {got} for {a} and {b}, where the scene has {meant}."
+            reason = f"{simulator} takes {words} of a pair: {got} for {a} and {b}; the scene specifies {meant}."
             yield approximate(field, "", reason, abs(worst[3] - worst[2]))
 
 
 def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:
-    """The pair of coefficients, what is meant and what comes out, where these differ most; None where they never do."""
+    """Return the pair with the largest error, its intended and resulting coefficient; None if they never differ."""
     values: set[tuple[str, float]] = set()
     for item in scene.objects:
         values |= {(item.name, float(getattr(c, field))) for link in item.links for c in link.colliders}

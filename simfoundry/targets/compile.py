@@ -1,4 +1,4 @@
-"""Scene and target to files: those of the backend, the loader of the simulator, and what the two together lose."""
+"""Compilation of a scene for a target: the files of its backend, the simulator's loader, and the losses of both."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
-    """Compile ``scene`` for ``target``; the losses are those of its backend and of its simulator."""
+    """Compile ``scene`` for ``target``; the losses are those of the backend and of the simulator."""
     artifact, profile = target_files(scene, target), target.profile
     return replace(artifact, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
 
 
 def target_files(scene: Scene, target: Target) -> Artifact:
-    """Compile the files of ``target``, with the losses of its backend alone."""
+    """Compile the files of ``target``, with the losses of the backend alone."""
     artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
     files = dict(artifact.files)
     if target.loader is not None:
@@ -38,7 +38,7 @@ def target_files(scene: Scene, target: Target) -> Artifact:
 
 
 def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Losses of the backend that the loader does not give back; no loader knows of what was left out before."""
+    """Yield the losses of the backend that the loader does not restore; it cannot restore what lowering left out."""
     absent = {part.path for part in scene.left_out}
     combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
     told = profile.restores.keys() | combined | profile.gaps.keys()
@@ -48,7 +48,7 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
 
 
 def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Yield the losses of the simulator in what the scene uses."""
+    """Yield the losses of the simulator for the features that the scene uses."""
     from simfoundry.targets.combine import pair_losses
 
     yield from pair_losses(scene, profile.combines, profile.name)

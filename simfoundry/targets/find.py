@@ -1,4 +1,4 @@
-"""Targets by name or path: those of the project, those of installed packages, your own, and the plain backends."""
+"""Targets by name or path: those of the project, of installed packages and of the user, and the plain backends."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 
 GROUP = "simfoundry.targets"
 PROFILE, LOADER, READBACK = "profile.yaml", "load.py", "readback.py"
-"""The files of a target's folder."""
+"""The standard files in a target's folder."""
 
 SUFFIXES = (".yaml", ".yml")
 
 
 class UnknownTargetError(SimfoundryError):
-    """A name that is no target."""
+    """An unknown target name."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A format or simulator that scenes are compiled for: its profile, and the folder with its loader and read-back."""
+    """A format or simulator for which scenes are compiled: its profile, and the folder of its loader and read-back."""
 
     profile: TargetSpec
     folder: Path | None = None
 
     @property
     def name(self) -> str:
-        """Its name after ``-t``, and that of its folder in a build."""
+        """Its name for ``-t``, which is also its folder in a build."""
         return self.profile.name
 
     @property
@@ -51,12 +51,12 @@ class Target:
 
     @property
     def options(self) -> Mapping[str, float | bool | str]:
-        """The settings of the backend."""
+        """The options passed to the backend."""
         return self.profile.options
 
     @property
     def loader(self) -> Path | None:
-        """Its own ``load.py``; None if builds have the one of the backend."""
+        """Its own ``load.py``; None if builds use the backend's loader."""
         if self.folder is None or self.name == self.backend:
             return None
         if self.profile.loader is not None:
@@ -65,7 +65,7 @@ class Target:
 
     @property
     def readback(self) -> Path | None:
-        """The module by which ``verify`` reads its builds; None if nothing reads them."""
+        """The module with which ``verify`` reads its builds; None if there is none."""
         return self._file(READBACK) if self.profile.engine is not None else None
 
     def _file(self, name: str) -> Path | None:
@@ -75,20 +75,20 @@ class Target:
 
 @cache
 def _own_folders() -> Mapping[str, Path]:
-    """The folders of the project's own targets by name, sorted."""
+    """Return the folders of the project's own targets by name, sorted."""
     return {path.parent.name: path.parent for path in sorted(shipped("targets").glob(f"*/{PROFILE}"))}
 
 
 def target_names() -> list[str]:
-    """Every name that ``-t`` takes: the plain backends, then the simulators, then those of installed packages."""
+    """Return every name that ``-t`` accepts: plain backends, then simulators, then targets of installed packages."""
     return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
 def find_target(name: str) -> Target:
-    """The target called ``name``, or that of the folder or the profile at the path ``name``.
+    """Return the target called ``name``, or the target whose folder or profile is at the path ``name``.
 
-    Raises :class:`UnknownTargetError`, :class:`SpecError` with every finding of a faulty profile, and
-    :class:`PluginError` if the package that brings it is broken.
+    Raises :class:`UnknownTargetError` for an unknown name, :class:`SpecError` with all findings for an invalid profile,
+    and :class:`PluginError` if the package that provides the target is broken.
     """
     if name.endswith(SUFFIXES):
         return read_profile(Path(name))
@@ -101,23 +101,23 @@ def find_target(name: str) -> Target:
     plugin = plugins(GROUP).get(name)
     if plugin is not None:
         return read_profile(plugin.folder() / PROFILE)
-    hint = nearest(name, target_names()) + " A target of your own is named by its folder, as `./my_sim`."
+    hint = nearest(name, target_names()) + " Specify your own target by its folder, such as `./my_sim`."
     raise UnknownTargetError(f"no target is called `{name}`; {hint}")
 
 
 def _plain(backend: str) -> Target:
-    """The target of a backend that has no folder: its files as they are."""
+    """Return the target of a backend without a folder, whose files are used as they are."""
     from simfoundry.targets.profile import TargetSpec, Tested
 
     description = "the plain files of the backend"
-    tested = Tested(how="checked", note="by the package that brings the backend")
+    tested = Tested(how="checked", note="by the package that provides the backend")
     return Target(
         TargetSpec(simfoundry="target/1", name=backend, description=description, backend=backend, tested=tested)
     )
 
 
 def read_profile(path: Path) -> Target:
-    """The target of the profile at ``path``; raises :class:`SpecError` with every finding."""
+    """Read the profile at ``path``; raises :class:`SpecError` with all findings."""
     from simfoundry.spec.check.validate import validate
     from simfoundry.targets.profile import TargetSpec
 
@@ -131,12 +131,12 @@ def read_profile(path: Path) -> Target:
     findings += _findings(spec, document, path)
     if findings:
         raise SpecError(findings)
-    # A profile of another name is a document by itself: only `profile.yaml` speaks for its folder.
+    # A profile with another file name stands alone; only `profile.yaml` describes its folder.
     return Target(spec, path.parent if path.name == PROFILE or spec.loader is not None else None)
 
 
 def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diagnostic]:
-    """Problems of a profile that its types cannot express."""
+    """Yield the problems of a profile that its types cannot express."""
     from simfoundry.targets.profile import BEHAVIOURS, QUANTITIES, READ_BACK
 
     def known(name: str, choices: Collection[str], place: tuple[str, ...], what: str) -> Iterator[Diagnostic]:
@@ -147,15 +147,15 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     whole = path.name == PROFILE
     own_name = path.resolve().parent.name if whole else path.stem
     if spec.name != own_name:
-        place = f"its folder `{own_name}`" if whole else f"its file `{path.name}`"
-        yield document.finding("SF106", ("name",), f"the profile is called `{spec.name}`, and {place}", f"`{own_name}`")
+        place = f"its folder is `{own_name}`" if whole else f"its file is `{path.name}`"
+        yield document.finding("SF106", ("name",), f"the profile is called `{spec.name}`, but {place}", f"`{own_name}`")
     yield from known(spec.backend, BACKENDS.names(), ("backend",), "backend")
     if spec.backend in BACKENDS:
         options = backend_options(spec.backend)
         for name, value in spec.options.items():
             yield from known(name, options, ("options", name), f"option of the backend `{spec.backend}`")
             if name in options and not isinstance(value, type(options[name])):
-                message = f"expected {_KINDS[type(options[name])]}, as `{options[name]}`"
+                message = f"expected {_KINDS[type(options[name])]}, such as `{options[name]}`"
                 yield document.finding("SF103", ("options", name), message)
     for key in ("restores", "gaps"):
         for name in getattr(spec, key):
@@ -168,20 +168,20 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     if spec.loader is not None:
         loader = (folder / spec.loader).resolve()
         if not (loader.is_relative_to(folder) and loader.is_file()):
-            hint = "it stands beside the profile"
+            hint = "the loader must be beside the profile"
             yield document.finding("SF203", ("loader",), f"there is no file `{spec.loader}`", hint)
     if spec.engine is not None and not (whole and (folder / READBACK).is_file()):
-        hint = "an engine is read by the module of that name in the folder of `profile.yaml`"
+        hint = "an engine needs a read-back module of that name in the folder of `profile.yaml`"
         yield document.finding("SF203", ("engine",), f"there is no file `{READBACK}`", hint)
     if spec.engine is None and spec.tolerances:
-        hint = "describe the engine that is read back under `engine`, or remove the tolerances"
-        yield document.finding("SF107", ("tolerances",), "nothing is read back, so no tolerance is used", hint)
+        hint = "add the engine to read back under `engine`, or remove the tolerances"
+        yield document.finding("SF107", ("tolerances",), "no engine is read back, so the tolerances are not used", hint)
 
 
-_KINDS = {float: "a number", bool: "`true` or `false`", str: "a text"}
+_KINDS = {float: "a number", bool: "`true` or `false`", str: "a string"}
 
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
-    """The options of a backend by name, with their defaults."""
+    """Return the options of a backend by name, with their defaults."""
     parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}

@@ -1,6 +1,6 @@
-"""All that a build depends on, as hashes: the same inputs and the same software give the same bytes.
+"""Hashes of everything on which a build depends; equal inputs and software give equal bytes.
 
-Names are counted from the project, so that the record is the same on every machine.
+Names are relative to the project, so that the record is the same on every machine.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ LIBRARIES = (
     "trimesh",
     "usd-core",
 )
-"""Those whose results are in the files."""
+"""The libraries whose results end up in the files."""
 
 _PACKAGE = Path(simfoundry.__file__).parent
 
 
 def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
-    """Names and SHA-256 of everything that the build of a sound scene is made from.
+    """Return names and SHA-256 of all inputs to the build of a valid scene.
 
-    ``documents``: by their content, so that comments do not count. ``files``: the meshes, with their materials and
-    textures. ``robots``: their models, or why there is none. ``targets``: their profiles.
+    ``documents`` are hashed by content, so that comments do not matter. ``files`` are the meshes with their materials
+    and textures. ``robots`` are the models, or the reasons why there are none. ``targets`` are the profiles.
     """
     spec = loaded.spec
     assert isinstance(spec, SceneSpec)
@@ -66,9 +66,9 @@ def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
 
 @cache
 def software() -> dict[str, str]:
-    """The versions of this package and of the libraries whose results are in the files.
+    """Return the versions of this package and of the libraries whose results end up in the files.
 
-    Where the package lies in a checkout, where anything may be edited, its version goes on with a hash of its files.
+    In a checkout, where any file may be edited, the version of the package includes a hash of its files.
     """
     found = {"simfoundry": simfoundry.__version__}
     if (_PACKAGE.parent / "pyproject.toml").is_file():
@@ -91,7 +91,7 @@ def _used(loaded: Loaded) -> Iterator[Loaded]:
 
 
 def _files(loaded: Loaded) -> Iterator[Path]:
-    """The meshes and splats that a document names, with the files that those name."""
+    """Yield the meshes and splats named in a document, and the files that those refer to."""
     for reference in _references(loaded.spec):
         path = loaded.file(reference)
         yield path
@@ -111,7 +111,7 @@ def _references(spec: object) -> Iterator[str]:
 
 
 def _named(path: Path, root: Path) -> str:
-    """The path in the project; of a file of an installed package, that in the folder of packages."""
+    """Return the path relative to the project, or relative to site-packages for a file of an installed package."""
     resolved = path.resolve()
     if resolved.is_relative_to(root):
         return resolved.relative_to(root).as_posix()
@@ -120,7 +120,7 @@ def _named(path: Path, root: Path) -> str:
 
 
 def _of_file(path: Path) -> str:
-    """The hash of a file; a missing one is found where it is used."""
+    """Return the hash of a file; a missing file is reported where it is used."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -128,7 +128,7 @@ def _of_file(path: Path) -> str:
 
 
 def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
-    """A hash of the models of a robot, and of what one's own folder of robots says; or why there is no model."""
+    """Return a hash of a robot's models and its description in a user folder, or the reason why there is no model."""
     folder = own_folder()
     own = [_of_file(p) for p in sorted(folder.glob("*.yaml"))] if folder is not None else []
     try:

@@ -1,4 +1,4 @@
-"""OmniGibson: a scene JSON as its tools load it, and one USD for each object, which the JSON names."""
+"""OmniGibson: a scene JSON for its own tools, and one USD for each object, which the JSON refers to."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ SCENE_FILE = "scene.json"
 
 
 def omnigibson_files(scene: Scene) -> dict[str, bytes]:
-    """``scene.json`` and ``objects/<object>.usda``; meshes and textures lie in ``assets``, where the stage has them."""
+    """Return ``scene.json`` and ``objects/<object>.usda``; meshes and textures are in ``assets``, as in the stage."""
     files = {f"objects/{item.name}.usda": _object_layer(scene, item) for item in scene.objects}
     return {SCENE_FILE: scene_json(scene), **files}
 
 
 def scene_json(scene: Scene) -> bytes:
-    """The scene as OmniGibson saves one: what there is, and the state that it is in; quaternions are xyzw."""
+    """Return the scene in OmniGibson's save format: its objects and their state; quaternions are xyzw."""
     info = {item.name: _info(item) for item in scene.objects}
     state = {item.name: _state(item) for item in scene.objects}
     data = {
@@ -32,7 +32,7 @@ def scene_json(scene: Scene) -> bytes:
             "args": {"use_floor_plane": False, "floor_plane_visible": False},
         },
         "objects_info": {"init_info": info},
-        # `Scene.__init__` and `restore` read the keys of both registries; a scene of ours has no particle systems.
+        # `Scene.__init__` and `restore` read the keys of both registries; our scenes have no particle systems.
         "state": {"registry": {"object_registry": state, "system_registry": {}}},
     }
     return (json.dumps(data, indent=2) + "\n").encode()
@@ -53,7 +53,7 @@ def _info(item: SceneObject) -> dict[str, object]:
 def _state(item: SceneObject) -> dict[str, object]:
     still = [0.0, 0.0, 0.0]
     root = {"pos": _numbers(item.X_WO.p), "ori": _numbers(to_xyzw(item.X_WO.q)), "lin_vel": still, "ang_vel": still}
-    # PhysX numbers joints by the links that they move, outwards from the root; the file has no names for them.
+    # PhysX numbers joints by the links that they move, outward from the root; the file does not name them.
     rank = {link.name: k for k, link in enumerate(item.links)}
     moving = sorted((j for j in item.joints if j.type is not JointType.FIXED), key=lambda j: rank[j.child])
     positions = [float(number(joint.position)) for joint in moving]
@@ -62,10 +62,10 @@ def _state(item: SceneObject) -> dict[str, object]:
 
 
 def _object_layer(scene: Scene, item: SceneObject) -> bytes:
-    """A layer whose default prim is the object, in its own frame, with its materials below it."""
+    """Return a layer whose default prim is the object in its own frame, with its materials below it."""
     from pxr import Sdf
 
-    # Joints stand at zero in the file: OmniGibson sets the positions of its state itself.
+    # Joints are at zero in the file, because OmniGibson sets the positions of its state itself.
     rest = tuple(replace(joint, position=0.0) for joint in item.joints)
     alone = replace(
         scene,

@@ -1,4 +1,4 @@
-"""``target/1``: one simulator in one document: its backend, what it keeps and what not, how builds are read back."""
+"""``target/1``: a simulator in one document, with its backend, its known gaps, and the settings to read builds back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max
 PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
 
 READ_BACK = "read_back"
-"""The tolerance of every quantity that has none of its own."""
+"""The key of the tolerance for quantities without their own."""
 
 QUANTITIES = (
     *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
@@ -27,100 +27,106 @@ BEHAVIOURS = (
     *("free_fall", "slip_angle", "period", "decay", "restitution", "limit", "friction_holds", "friction_slips"),
     *("damped_friction", "drive", "mimic", "no_contact", "settled_mm", "settled_deg"),
 )
-"""The behaviours that `simfoundry verify` measures."""
+"""The behaviors that `simfoundry verify` measures."""
 
 
 class Gap(Model):
-    """A feature that the simulator does not keep, beyond what its backend leaves out."""
+    """A feature that the simulator does not preserve, in addition to the losses of its backend."""
 
-    fidelity: Literal["approximated", "dropped"] = Field(description="Whether something of it arrives.")
-    kind: Literal["notimpl", "notyet", "never"] = Field(
-        description="`notimpl`: ours to do; `notyet`: the simulator could; `never`: it cannot."
+    fidelity: Literal["approximated", "dropped"] = Field(
+        description="`approximated` if it is partly preserved, `dropped` if it is not."
     )
-    reason: Words = Field(description="Why, and by how much.")
+    kind: Literal["notimpl", "notyet", "never"] = Field(
+        description="`notimpl`: not implemented here; `notyet`: the simulator could support it; `never`: it cannot."
+    )
+    reason: Words = Field(description="The reason, and the size of the error.")
     size: Positive | None = Field(
-        None, description="The greatest error in SI units, where something of it arrives; `simfoundry verify` holds it."
+        None, description="The largest error in SI units of an approximated feature; `simfoundry verify` checks it."
     )
 
 
 class Band(Model):
-    """A behaviour of `simfoundry verify` with another outcome than the known answer."""
+    """A behavior of `simfoundry verify` whose outcome in this simulator differs from the known answer."""
 
-    low: float = Field(description="The least that it may measure, in the unit of the behaviour.")
-    high: float = Field(description="The most.")
-    reason: Words = Field(description="Why it does not do better.")
+    low: float = Field(description="The smallest accepted value, in the unit of the behavior.")
+    high: float = Field(description="The largest accepted value.")
+    reason: Words = Field(description="The reason why the simulator is not more accurate.")
 
 
 class Tolerance(Model):
-    """The greatest error that `simfoundry verify` accepts, with its reason."""
+    """The largest error that `simfoundry verify` accepts, with its reason."""
 
     value: Positive = Field(
-        description="Relative for what is read back; in the unit of the behaviour for what is measured."
+        description="Relative for quantities that are read back; in the unit of the behavior for measurements."
     )
-    reason: Words = Field(description="Why not less.")
+    reason: Words = Field(description="The reason why the tolerance is not smaller.")
 
 
 class Tested(Model):
-    """The test that a profile has been put to."""
+    """The extent to which a profile has been tested."""
 
     how: Literal["run", "checked"] = Field(
-        description="`run`: loaded in the simulator by its loader; `checked`: read as code, nothing was run."
+        description="`run`: loaded in the simulator by its loader; `checked`: only the code was reviewed."
     )
-    versions: tuple[str, ...] = Field((), description="Releases of the simulator that it was run with.")
-    note: Words | None = Field(None, description="What was seen on the way.")
+    versions: tuple[str, ...] = Field((), description="Releases of the simulator with which it was run.")
+    note: Words | None = Field(None, description="Observations from the test.")
 
 
 class Combines(Model):
-    """The rule by which the simulator combines the coefficients of two surfaces, where it is not the geometric mean."""
+    """The simulator's rules for combining the coefficients of two surfaces, if they are not the geometric mean."""
 
-    friction: Combine | None = Field(None, description="Of two frictions.")
-    restitution: Combine | None = Field(None, description="Of two restitutions.")
+    friction: Combine | None = Field(None, description="Rule for two friction coefficients.")
+    restitution: Combine | None = Field(None, description="Rule for two restitution coefficients.")
 
 
 class EngineSpec(Model):
     """The simulator as `simfoundry verify` runs it, through the `readback.py` beside the profile."""
 
-    name: EngineName | None = Field(None, description="What `-e` and the tables call it; default: as the target.")
+    name: EngineName | None = Field(
+        None, description="Its name for `-e` and in tables; default: the name of the target."
+    )
     family: EngineName | None = Field(
-        None, description="What `--python FAMILY=PATH` may say for all engines of one package; default: its name."
+        None, description="The name in `--python FAMILY=PATH` for all engines of one package; default: its name."
     )
     modules: dict[PythonName, str] = Field(
-        min_length=1, description="Modules that it needs, each with the distribution that has it; itself first."
+        min_length=1, description="Required modules, each with the distribution that provides it; its own module first."
     )
-    install: Words = Field(description="The line that installs them.")
-    note: Words = Field(description="Which of its solvers steps the build.")
-    steps: bool = Field(True, description="Whether it can step a build, or only read it.")
+    install: Words = Field(description="The command that installs them.")
+    note: Words = Field(description="The solver that steps the build.")
+    steps: bool = Field(True, description="False if it can only read a build, not step it.")
 
 
 class TargetSpec(Model):
-    """A simulator as a target."""
+    """A simulator for which scenes can be compiled."""
 
     simfoundry: Literal["target/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(description="What it is called after `-t`, and its folder in the build; the name of its folder.")
-    description: Words = Field(description="One line for people.")
-    backend: Name = Field(description="Which backend writes the files: `mjcf`, `pybullet`, `urdf` or `usd`.")
-    options: dict[Name, float | bool | str] = Field({}, description="Settings of the backend, as `timestep`.")
-    tested: Tested = Field(description="With which releases it was run, or that it was not.")
+    name: Name = Field(
+        description="Its name for `-t` and its folder in a build; must be the name of the profile's folder."
+    )
+    description: Words = Field(description="A one-line description.")
+    backend: Name = Field(description="The backend that writes the files: `mjcf`, `pybullet`, `urdf` or `usd`.")
+    options: dict[Name, float | bool | str] = Field({}, description="Options of the backend, such as `timestep`.")
+    tested: Tested = Field(description="The releases with which it was run, or a statement that it was not.")
     loader: str | None = Field(
         None,
         max_length=200,
-        description="The `load.py` of the build; default: the one in the folder of the profile, else the backend's.",
+        description="The `load.py` of the build; default: the one beside the profile, or else the backend's.",
     )
     writes: tuple[Literal["objects", "environment", "omnigibson"], ...] = Field(
-        (), description="Files beside those of the backend that its loader reads."
+        (), description="Additional files that its loader reads."
     )
     restores: dict[Name, Words] = Field(
-        {}, description="Features that the backend's files cannot hold and the loader gives back: how."
+        {}, description="Features that the backend's files cannot hold but the loader restores, with an explanation."
     )
-    combines: Combines = Field(Combines(), description="How it combines the surfaces of a contact.")
-    gaps: dict[Name, Gap] = Field({}, description="Features that it does not keep, with the reason.")
-    engine: EngineSpec | None = Field(None, description="How `simfoundry verify` runs it; needs a `readback.py`.")
-    behaviours: dict[Name, Band] = Field(
-        {}, description="What it is known to do otherwise than the laws of physics, by behaviour."
+    combines: Combines = Field(Combines(), description="The rules for combining the surfaces in a contact.")
+    gaps: dict[Name, Gap] = Field({}, description="Features that it does not preserve, with the reason.")
+    engine: EngineSpec | None = Field(
+        None, description="The settings to run it in `simfoundry verify`; requires a `readback.py`."
     )
+    behaviours: dict[Name, Band] = Field({}, description="Known deviations from the laws of physics, by behavior.")
     tolerances: dict[Name, Tolerance] = Field(
-        {}, description="By quantity or behaviour, or `read_back` for the rest: what `simfoundry verify` lets pass."
+        {}, description="Tolerances of `simfoundry verify` by quantity or behavior, or `read_back` for all others."
     )
     world: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)] | None = Field(
-        None, description="The class of its `World`, as `module:Class`, where rollouts and settling can run in it."
+        None, description="The class of its `World`, as `module:Class`, if rollouts and settling can run in it."
     )

@@ -1,4 +1,4 @@
-"""The loss report: what became of each feature in each target, as JSON and as a short table."""
+"""The loss report: the fidelity of each feature in each target, as JSON and as a short table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Fates = Mapping[str, Mapping[str, int]]
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     """Return the content of ``loss.json``, by target.
 
-    ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated, lose
+    ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated or lose
     it. ``losses`` lists every :class:`~simfoundry.backends.losses.Loss` with its fields.
     """
     return {
@@ -40,15 +40,15 @@ def _loss(loss: Loss) -> dict[str, Any]:
 
 
 def table(data: Mapping[str, Any]) -> list[str]:
-    """The features that some target does not keep, a line each: ``~`` approximated, ``-`` dropped, for how many things.
+    """Return one line per feature that some target does not keep, with the number of elements affected.
 
-    What every target keeps is counted in the last line.
+    ``~`` means approximated and ``-`` dropped. The last line counts the features that every target keeps.
     """
     fields: dict[str, Fates] = {target: entry["features"] for target, entry in data.items()}
     names = list(dict.fromkeys(name for found in fields.values() for name in found))
     lossy = [name for name in names if any(set(found.get(name, ())) - {"kept"} for found in fields.values())]
     kept = len(names) - len(lossy)
-    last = f"kept by all: {kept} of the {len(names)} features in use"
+    last = f"preserved by all targets: {kept} of the {len(names)} features in use"
     if not lossy:
         return [last]
     rows = [["not kept", *fields], *([name, *(_mark(f.get(name, {})) for f in fields.values())] for name in lossy)]

@@ -1,4 +1,4 @@
-"""Files that simulators read beside those of a backend."""
+"""Additional files that simulators read beside those of a backend."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ over "World"
 
 
 def objects_file(scene: Scene) -> dict[str, bytes]:
-    """``objects.json``: gravity; of each object its prim, its joints, and if it is static, rigid or articulated."""
+    """Return ``objects.json``: gravity, and the prim, joints and kind (static, rigid or articulated) of each object."""
     data = {
         "gravity": _numbers(scene.gravity),
         "objects": {item.name: _object(item) for item in scene.objects},
@@ -41,7 +41,7 @@ def objects_file(scene: Scene) -> dict[str, bytes]:
 
 
 def environment_file(_: Scene) -> dict[str, bytes]:
-    """``environment.usda``: the stage without its physics scene, to be cloned where the simulator brings its own."""
+    """Return ``environment.usda``: the stage without its physics scene, for simulators that clone it."""
     return {"environment.usda": _ENVIRONMENT.encode()}
 
 
@@ -68,4 +68,4 @@ WRITERS: dict[str, Writer] = {
     "environment": environment_file,
     "omnigibson": omnigibson_files,
 }
-"""What a profile can ask for under ``writes``."""
+"""The writers that a profile can request under ``writes``."""

@@ -1,1 +1,1 @@
-"""The proof that a build means the same in every simulator: what each one holds, and how it behaves."""
+"""Verification that a build has the same meaning in every simulator: its read-back data and its behavior."""

@@ -1,7 +1,7 @@
-"""Behaviours with a known answer: a small machine, what is measured on it, the analytic value, and how near is near.
+"""Behaviors with a known answer: a small mechanism, a measurement, the analytic value, and a tolerance.
 
-Each is a generator that yields :class:`Trial` s, receives where everything was while it ran, and returns the measured
-value. So one that has to search, as for the angle at which a box slips, asks for one trial after the other.
+Each is a generator that yields :class:`Trial` objects, receives the sampled states of each run, and returns the
+measured value. A behavior that needs a search, such as the slip angle of a box, can yield one trial after another.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Moments = Sequence[Moment]
 
 @dataclass(frozen=True)
 class Trial:
-    """A scene, and how it is stepped."""
+    """A scene, and the run that steps it."""
 
     scene: Scene
     run: Run
@@ -36,7 +36,7 @@ Measurement = Generator[Trial, Moments, float]
 
 @dataclass(frozen=True)
 class Behaviour:
-    """One behaviour: ``expected`` and ``tolerance`` in ``unit``, and why that tolerance."""
+    """One behavior: ``expected`` and ``tolerance`` in ``unit``, and the reason for that tolerance."""
 
     name: str
     title: str
@@ -48,10 +48,10 @@ class Behaviour:
 
 
 MU_BOX, MU_RAMP = 0.3, 0.8
-"""Frictions for which any other rule of a pair gives a slip angle at least 2.5 degrees from the geometric mean's."""
+"""Frictions for which any other combination rule changes the slip angle by at least 2.5 degrees."""
 _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
 _SLID_M = 0.01
-"""A box slips if it goes this far in one second, which an excess of 0.1 degrees is enough for."""
+"""Distance by which a slipping box moves in one second [m]; 0.1 degrees above the slip angle is enough for this."""
 
 _SWING = 0.1  # rad: small, so that the series of the period below is exact to a millionth
 _INERTIA, _TORQUE = rigs.pendulum_constants()
@@ -62,7 +62,7 @@ _WEIGHT = rigs.GRAVITY  # of one kilogram [N]
 
 
 def free_fall() -> Measurement:
-    """Measure how far a lopsided body falls in 3 s, over g t^2 / 2."""
+    """Measure the distance that an asymmetric body falls in 3 s, relative to g t^2 / 2."""
     stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
     moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
     first, last = moments[0], moments[-1]
@@ -71,7 +71,7 @@ def free_fall() -> Measurement:
 
 
 def slip_angle() -> Measurement:
-    """The steepness at which a box begins to slide, by two rounds of ramps."""
+    """Measure the slope angle at which a box begins to slide, with two rounds of ramps."""
     low, high, count = 15.0, 43.0, 14
     for _ in range(2):
         angles = np.linspace(low, high, count + 1).tolist()
@@ -83,7 +83,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the boxes that slipped in the last second; the time before lets them find their places."""
+    """Return a mask of the boxes that slipped in the last second; the time before lets them settle."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -91,14 +91,14 @@ def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
 
 
 def pendulum_period() -> Measurement:
-    """The period of a pendulum, over six swings [s]."""
+    """Measure the period of a pendulum over six swings [s]."""
     moments = yield Trial(rigs.scene_of("pendulum", rigs.pendulum(_SWING)), Run(8.5, 0.004))
     crossings = _crossings(moments, "pendulum.joint")
     return float((crossings[-1] - crossings[0]) / (len(crossings) - 1) * 2)
 
 
 def damped_decay() -> Measurement:
-    """The rate at which the swings of a damped pendulum die [1/s], from the first to the last of its peaks."""
+    """Measure the decay rate of a damped pendulum [1/s], from the first to the last peak."""
     moments = yield Trial(rigs.scene_of("decay", rigs.pendulum(_SWING, _DAMPING)), Run(8.5, 0.004))
     times, heights = _peaks(moments, "pendulum.joint")
     slope, _ = np.polyfit(times, np.log(heights), 1)
@@ -110,7 +110,7 @@ def _series(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def _crossings(moments: Moments, joint: str) -> Array:
-    """Times at which a joint passes zero, between the samples."""
+    """Return the times at which a joint passes zero, interpolated between samples."""
     t, q = _series(moments, joint)
     k = np.flatnonzero(q[:-1] * q[1:] < 0)
     if len(k) < 3:
@@ -119,7 +119,7 @@ def _crossings(moments: Moments, joint: str) -> Array:
 
 
 def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
-    """Times and heights of the turning points of a joint after the start, through three samples each."""
+    """Return times and heights of a joint's turning points after the start, each fitted to three samples."""
     t, q = _series(moments, joint)
     a = np.abs(q)
     k = np.flatnonzero((a[1:-1] > a[:-2]) & (a[1:-1] >= a[2:])) + 1
@@ -131,7 +131,7 @@ def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def rebound() -> Measurement:
-    """Speed after over speed before the first bounce of a ball, from the heights."""
+    """Measure the ratio of the speeds after and before the first bounce of a ball, from the heights."""
     ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
     floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
     moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
@@ -141,32 +141,32 @@ def rebound() -> Measurement:
 
 
 def _after_impact(moments: Moments) -> int:
-    """The sample 50 ms after the time at which the ball should hit the floor."""
+    """Return the index of the sample 50 ms after the expected impact of the ball."""
     impact = math.sqrt(2 * 0.5 / rigs.GRAVITY)
     return next(k for k, m in enumerate(moments) if m.time > impact + 0.05)
 
 
 def limit_holds() -> Measurement:
-    """Measure how far a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
+    """Measure the distance by which a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
     moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
     return (moments[-1].joints["slider.joint"] - 0.3) * 1000
 
 
 def friction_holds() -> Measurement:
-    """Measure how far a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
+    """Measure the distance that a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def friction_slips() -> Measurement:
-    """The acceleration of a slider of 9.81 N under a Coulomb friction of 6 N [m/s^2]."""
+    """Measure the acceleration of a slider of 9.81 N under a Coulomb friction of 6 N [m/s^2]."""
     moments = yield Trial(rigs.scene_of("slip", rigs.slider(friction=6.0)), Run(1.0, 1.0))
     last = moments[-1]
     return 2 * last.joints["slider.joint"] / last.time**2
 
 
 def damped_friction() -> Measurement:
-    """The speed at which a slider of 9.81 N ends under 4 N s/m of damping and 3 N of Coulomb friction [m/s]."""
+    """Measure the terminal speed of a slider of 9.81 N with 4 N s/m damping and 3 N Coulomb friction [m/s]."""
     moments = yield Trial(rigs.scene_of("both", rigs.slider(damping=4.0, friction=3.0, travel=9.0)), Run(2.5, 0.5))
     before, last = moments[-2], moments[-1]
     return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
@@ -176,13 +176,13 @@ _SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
 
 
 def drive_holds() -> Measurement:
-    """Measure where a motor of 200 N/m, target at 50 mm, holds a slider of 9.81 N [mm]: the weight adds 49 mm."""
+    """Measure where a motor of 200 N/m with target 50 mm holds a slider of 9.81 N [mm]; the weight adds 49 mm."""
     moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def follower_keeps() -> Measurement:
-    """Measure the ratio of the ways of a follower, meant to go twice as far, and of its leader, which falls."""
+    """Measure the ratio of the travel of a follower, which should be 2, to that of its falling leader."""
     moments = yield Trial(rigs.scene_of("gear", rigs.geared(2.0)), Run(0.5, 0.1))
     last = moments[-1].joints
     if abs(last["gear.leader"]) < 0.01:
@@ -191,7 +191,7 @@ def follower_keeps() -> Measurement:
 
 
 def passes_through() -> Measurement:
-    """Measure how much farther a box falls that passes through a shelf than one that does not, over a fall of 0.3 s."""
+    """Measure the extra fall of a box that passes through a shelf, relative to the free fall in 0.3 s."""
     shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
     boxes = [
         rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))
@@ -204,7 +204,7 @@ def passes_through() -> Measurement:
 
 
 _RESTING = {"crate": 0.03, "can": 0.05, "slab": 0.01, "wedge": 0.0}
-"""Heights of the frames of what :func:`settled` drops, at rest on the floor [m]."""
+"""Heights of the object frames in :func:`settled_position` and :func:`settled_rotation`, at rest on the floor [m]."""
 
 
 def _dropped() -> Scene:
@@ -221,7 +221,7 @@ def _dropped() -> Scene:
 
 
 def settled_position() -> Measurement:
-    """Measure how far the worst of four objects ends from where it should lie, after a fall of 5 mm [mm]."""
+    """Measure the largest position error among four objects after a fall of 5 mm [mm]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     last = moments[-1]
@@ -230,7 +230,7 @@ def settled_position() -> Measurement:
 
 
 def settled_rotation() -> Measurement:
-    """Measure how far the worst of four objects has turned after a fall of 5 mm [deg]."""
+    """Measure the largest rotation among four objects after a fall of 5 mm [deg]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))
@@ -238,20 +238,20 @@ def settled_rotation() -> Measurement:
 
 BEHAVIOURS: tuple[Behaviour, ...] = (
     Behaviour("free_fall", "free fall, of g t²/2", "", 1.0, 1e-3, "one step of 3 s is 0.07 %", free_fall),
-    Behaviour("slip_angle", "box slips at", "deg", _SLIP, 1.0, "the bar; steps of 0.14 degrees", slip_angle),
-    Behaviour("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the bar", pendulum_period),
-    Behaviour("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the bar", damped_decay),
+    Behaviour("slip_angle", "box slips at", "deg", _SLIP, 1.0, "required accuracy; ramps 0.14 deg apart", slip_angle),
+    Behaviour("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the required accuracy", pendulum_period),
+    Behaviour("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the required accuracy", damped_decay),
     Behaviour("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),
     Behaviour("limit", "joint limit exceeded by", "mm", 0.0, 5.0, "limits are springs in most engines", limit_holds),
     Behaviour("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is invisible", friction_holds),
     Behaviour("friction_slips", "slipping joint accelerates", "m/s²", _WEIGHT - 6.0, 0.05 * (_WEIGHT - 6.0),
               "5 %: one step of 1 s, and soft friction", friction_slips),
     Behaviour("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
-              0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as of the decay", damped_friction),
+              0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as for the decay", damped_friction),
     Behaviour("drive", "motor holds at", "mm", 1000 * (0.05 + _WEIGHT / 200.0), 1.0, "1 mm", drive_holds),
     Behaviour("mimic", "follower goes, of its leader", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
               follower_keeps),
-    Behaviour("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other one settles by 1 mm or two",
+    Behaviour("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other box settles by 1 or 2 mm",
               passes_through),
     Behaviour("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
               settled_position),

@@ -1,7 +1,7 @@
-"""Comparison of an engine with the scene: every quantity is equal, or named in the loss report.
+"""Comparison of an engine with the scene: each quantity must be equal or have a reported loss.
 
-Equal is within the tolerance of the target's profile, relative to the quantity or to a floor below which it is too
-small to matter.
+Equality is judged with the tolerance of the target's profile, relative to the quantity or to a minimum magnitude below
+which errors do not matter.
 """
 
 from __future__ import annotations
@@ -54,16 +54,17 @@ FLOORS = {
     "effort": 1.0,
     "gravity": 1.0,
 }
-"""Magnitudes below which an error counts as absolute, in SI units: too small to matter in a tabletop scene."""
+"""Magnitudes below which an error counts as absolute, in SI units; smaller values do not matter in a tabletop scene."""
 
 SKIN_M = 2.5e-3
-"""How far an approximated collision shape may stand from the scene's [m]: Bullet's skin, at both ends and a corner."""
+"""Maximum distance of an approximated collision shape from the scene's [m]: Bullet's margin at both ends and a
+corner."""
 
 _WHOLE = ("link", "joint", "robot", "held", "collider")
-"""What an approximation of the whole thing still has."""
+"""Quantities that must be present even if the whole object is approximated."""
 
 _WELDED = ("mass", "com", "inertia")
-"""What an engine need not keep of a link that can never move."""
+"""Quantities of a static link that an engine may omit."""
 
 
 _SURFACE = {
@@ -73,7 +74,7 @@ _SURFACE = {
     "torsional_friction": "spinning",
     "rolling_friction": "rolling",
 }
-"""What is compared of a collider, as losses call it."""
+"""The compared quantities of a collider, with their names in losses."""
 
 _JOINT = {
     "axis": ("axis", "axis"),
@@ -85,12 +86,12 @@ _JOINT = {
     "drive": ("drive", "drive"),
     "effort": ("effort", "drive"),
 }
-"""What is compared of a joint: how it is called in the table, and what losses call it."""
+"""The compared quantities of a joint: the name in the table and the name in losses."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of ``name`` that an engine holds otherwise; ``covered`` is the loss or the gap that says so."""
+    """A quantity of ``name`` that differs in an engine; ``covered`` is the loss or gap that explains it."""
 
     name: str
     quantity: str
@@ -100,13 +101,13 @@ class Difference:
     covered: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping; an error that is no number is left out."""
+        """Return a plain mapping without errors that are NaN."""
         return asdict(self) | {"error": self.error if math.isfinite(self.error) else None}
 
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of quantities compared, those that differ without a reason, those with one, and stale losses."""
+    """The number of compared quantities, the unexplained and the explained differences, and stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -115,10 +116,10 @@ class ReadbackComparison:
 
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
-    """Hold what an engine says against the scene; ``losses`` are those of the target that it read."""
+    """Compare an engine's read-back with the scene; ``losses`` are those of the target that it read."""
     names = {robot.name for robot in scene.robots}
-    # That a robot was converted excuses nothing of what is compared of it. That colliders are simpler than what is seen
-    # excuses nothing either: those of the scene are compared.
+    # The conversion of a robot does not excuse differences of the compared quantities. Neither do colliders that are
+    # simpler than the visuals, because the colliders of the scene are compared.
     lost = [
         loss
         for loss in losses
@@ -145,7 +146,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
 
 
 def _gap_reason(gap: Gap | None, difference: Difference) -> str:
-    """A gap is a quantity that the engine has none of, or that is off by no more than a stated size."""
+    """Return the reason of a gap if the engine lacks the quantity or its error is within the stated size."""
     if gap is None:
         return ""
     if gap.size is not None and difference.got is not None:
@@ -155,7 +156,7 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
 
 
 class _Checker:
-    """Walks both facts and collects what differs, with the paths under which a loss report may name it."""
+    """Compares two read-backs and collects the differences, with the paths by which a loss report may name them."""
 
     def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
         self.expected, self.got, self.static, self.engine = expected, got, static, engine
@@ -165,7 +166,7 @@ class _Checker:
         self.found: list[tuple[Difference, frozenset[str]]] = []
 
     def run(self) -> None:
-        """Names first, then every quantity."""
+        """Compare the names, then every quantity."""
         self._names("link", self.expected.links, self.got.links)
         self._names("joint", self.expected.joints, self.got.joints)
         for name in [n for n in self.expected.links if n in self.got.links]:
@@ -179,7 +180,7 @@ class _Checker:
             self._silent(set(self.expected.silent or ()), set(self.got.silent))
 
     def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
-        """A robot, of which no more is known than that it is there where ``expected`` is None."""
+        """Compare a robot; if ``expected`` is None, only its presence is known."""
         keys = frozenset({name})
         self.compared += 1
         if got is None:
@@ -266,7 +267,7 @@ class _Checker:
             self._numbers(name, "joint position", expected.position, got.position, keys)
 
     def _silent(self, expected: set[str], got: set[str]) -> None:
-        """Pairs of links that pass through each other; of those that could meet at all."""
+        """Compare the pairs of links that pass through each other, among those that could meet."""
         colliding = {name for name, link in self.expected.links.items() if link.colliders}
         for pair in sorted(expected | got):
             ends = set(pair.split("|"))
@@ -276,14 +277,14 @@ class _Checker:
                 self._words(pair.replace("|", " and "), "contact", there, here, keys)
 
     def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: frozenset[str]) -> None:
-        """Compare words; what an engine does not tell is passed over."""
+        """Compare strings; values that an engine does not report are skipped."""
         if got is None or expected is None:
             self.untold |= keys
             return
         self._count(name, quantity, expected, got, 0.0 if expected == got else math.inf, keys)
 
     def _pairs(self, expected: Mapping[str, float], got: Mapping[str, float]) -> None:
-        """Pairs that the engine leaves to its own rule have no entry; those with equal frictions need none."""
+        """Compare pair frictions; pairs left to the engine's own rule have no entry, and equal frictions need none."""
         surfaces = {
             f"{link}.{c.name}": c.friction for link, facts in self.expected.links.items() for c in facts.colliders or ()
         }
@@ -298,7 +299,7 @@ class _Checker:
     def _numbers(
         self, name: str, quantity: str, expected: object, got: object, keys: frozenset[str], required: bool = False
     ) -> None:
-        """Compare scalars or vectors; what an engine does not tell is passed over, unless it is required."""
+        """Compare scalars or vectors; values that an engine does not report are skipped unless they are required."""
         if got is None or expected is None:
             self.untold |= keys
             if required and (got is None) != (expected is None):
@@ -327,13 +328,13 @@ class _Checker:
 
 
 def _joint_keys(name: str, quantity: str) -> frozenset[str]:
-    """The paths that name a quantity of a joint: not those of its object, whose friction is that of its surfaces."""
+    """Return the paths that name a quantity of a joint, without those of its object, which concern surfaces."""
     found = {name.partition(".")[0], name, f"{name}.{quantity}"}
     return frozenset(found | {f"{name}.drive.stiffness", f"{name}.drive.damping"} if quantity == "drive" else found)
 
 
 def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
-    """The paths that name a quantity of a link in a loss report, of its object, or of one of its colliders."""
+    """Return the paths in a loss report for a quantity of a link, its object, or one of its colliders."""
     item = name.partition(".")[0]
     keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
     if part:
@@ -345,7 +346,7 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
 
 
 def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
-    """Return true if a loss explains a difference; an approximation covers no more than it states."""
+    """Return true if a loss explains a difference; an approximation covers at most its stated size."""
     path = loss.path
     if loss.fidelity is Fidelity.DROPPED:
         return path in keys or path == difference.quantity
@@ -362,9 +363,9 @@ def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: 
 
 
 def _tip(scene: Scene, name: str) -> float:
-    """Return how far the tips of a convex mesh move when all its faces are moved in by Bullet's skin [m].
+    """Return the distance by which the tips of a convex mesh move if all faces are inset by Bullet's margin [m].
 
-    The sharper they are, the farther.
+    Sharper tips move farther.
     """
     link, _, collider = name.rpartition(".")
     for item in scene.objects:
@@ -379,7 +380,7 @@ def _tip(scene: Scene, name: str) -> float:
 
 
 def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
-    """Return true if a coefficient lies among those of the link, for which it may stand."""
+    """Return true if a coefficient is in the range of the link's coefficients, which it may then represent."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
@@ -387,6 +388,6 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
 
 
 def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
-    """Return true if the element of a loss was compared here, so that the loss should have been seen."""
+    """Return true if the element of a loss was compared, so that the loss should have caused a difference."""
     seen = loss.path in checker.checked and loss.path not in checker.untold
     return "." in loss.path and seen and loss.feature not in engine.restored

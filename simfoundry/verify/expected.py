@@ -1,4 +1,4 @@
-"""The read-back that an engine should give of a scene, taken from the lowered scene itself."""
+"""The read-back that an engine should return for a scene, derived from the lowered scene."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from simfoundry.verify.readback import (
 )
 
 SPLIT_CAPSULES = ("urdf",)
-"""Targets that write a capsule as a cylinder and two spheres, the same solid."""
+"""Targets that write a capsule as a cylinder and two spheres, which have the same shape."""
 
 _NO_JOINT = (JointType.FIXED, JointType.FREE)
-"""A free joint holds nothing: it shows in what its link is held by, and where that is."""
+"""Joint types that are not reported; a free joint appears in the parent and pose of its link."""
 
 
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
-    """The facts of ``scene`` as ``target`` writes them, with every pair of colliders whose surfaces differ."""
+    """Return the read-back of ``scene`` as written by ``target``, with all pairs of colliders whose surfaces differ."""
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     for item in scene.objects:
@@ -49,7 +49,7 @@ def expected_readback(scene: Scene, target: str) -> WorldReadback:
 
 
 def static_links(scene: Scene) -> set[str]:
-    """Links that can never move, by qualified name: nothing that happens depends on their mass."""
+    """Return the qualified names of links that can never move; their mass has no effect."""
     found: set[str] = set()
     for item in scene.objects:
         held = _held(item)
@@ -122,7 +122,7 @@ def _joint(item: SceneObject, joint: Joint) -> JointReadback:
 
 
 def _silent(scene: Scene) -> Iterator[str]:
-    """Pairs of links that could meet and pass through each other: those that the spec names, and neighbours."""
+    """Yield pairs of links that could meet but pass through each other: those in the spec, and neighboring links."""
     static = static_links(scene)
     felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
     pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in excluded_link_pairs(o)]
@@ -132,7 +132,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Pairs of colliders of different objects that can meet and whose frictions differ, with their friction."""
+    """Yield pairs of colliders of different objects that can meet and whose frictions differ, with their friction."""
     unheard = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:

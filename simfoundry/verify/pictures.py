@@ -1,4 +1,4 @@
-"""A picture of each scene for the report, from MuJoCo where a GL driver is, else from the ray caster."""
+"""Images of the scenes for the report, by MuJoCo if a GL driver is available, otherwise by the ray caster."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.object_shapes import world_bounds
 
 WIDTH, HEIGHT = 480, 300
-"""Pixels of a picture: two columns of a report on a laptop."""
+"""Size of an image [px]: two columns of a report on a laptop."""
 
 _FIELD_DEG = 40.0
-"""Vertical field of view, as of a lens that shows objects without distortion."""
+"""Vertical field of view, narrow enough to show objects without distortion."""
 
 
 def picture(scene: Scene) -> bytes:
-    """A PNG of the scene: through its first camera, made small, or else from a corner above all that is free."""
+    """Return a PNG of the scene: its first camera scaled down, or a view from a corner above all movable objects."""
     from simfoundry.render.gl import choose_engine
     from simfoundry.render.montage import png_bytes
     from simfoundry.worlds.render import render
@@ -27,7 +27,7 @@ def picture(scene: Scene) -> bytes:
 
 
 def overview(scene: Scene) -> Camera:
-    """A camera that sees everything that is free to move, or everything where nothing is."""
+    """Return a camera that sees all movable objects, or all objects if none can move."""
     free = [o for o in scene.objects if not o.fixed] or list(scene.objects)
     corners = [np.stack(world_bounds(o, o.X_WO)) for o in free]
     low = np.min([c[0] for c in corners], axis=0) if corners else np.zeros(3)

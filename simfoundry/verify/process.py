@@ -1,4 +1,4 @@
-"""Readers in processes of their own, so that a crash or a hang of an engine is an answer and not the end."""
+"""Reader processes for engines, so that a crash or hang becomes an error result instead of ending the run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simfoundry.verify.readback import Moment, WorldReadback
 
 _PACKAGE = Path(simfoundry.__file__).resolve().parent
 
-# Only this package is handed over: the folder that it is installed in may hold packages for another Python.
+# Only this package is passed on: its folder may contain packages for another Python version.
 _START = (
     "import importlib.util as u, sys; i, d = sys.argv[1:3]; "
     "s = u.spec_from_file_location('simfoundry', i, submodule_search_locations=[d]); "
@@ -28,9 +28,9 @@ _START = (
 )
 
 PROBE_S = 60.0
-"""Seconds that an interpreter has to say what is installed; only one that hangs takes longer."""
+"""Timeout for an interpreter to report its installed modules [s]; exceeded only if it hangs."""
 TIMEOUT_S = 180.0
-"""Seconds that an engine has for one build, its start included."""
+"""Timeout for an engine to process one build, including its startup [s]."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class Run:
 
 @dataclass(frozen=True)
 class EngineJob:
-    """A build folder to read, and to step where ``run`` says so; ``loader``, by default its own, loads it."""
+    """A build folder to read, and to step if ``run`` is set; ``loader`` replaces the build's own loader."""
 
     build: Path
     run: Run | None = None
     loader: Path | None = None
 
     def line(self) -> str:
-        """The job as the reader takes it."""
+        """Return the job as a line of input for the reader."""
         run = None if self.run is None else {"seconds": self.run.seconds, "every": self.run.every}
         build, loader = self.build.resolve(), (self.loader or self.build / "load.py").resolve()
         return json.dumps({"build": str(build), "loader": str(loader), "run": run}) + "\n"
@@ -58,7 +58,7 @@ class EngineJob:
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """The answer of a reader to a job: a read-back, or the samples of a run; else the ``error``."""
+    """The result of a job: a read-back or the samples of a run, or the ``error``."""
 
     facts: WorldReadback | None
     moments: tuple[Moment, ...]
@@ -67,12 +67,12 @@ class EngineAnswer:
 
 
 def command(python: Path, *arguments: str) -> list[str]:
-    """The command that runs the reader of this package under another interpreter."""
+    """Return the command that runs this package's reader in another interpreter."""
     return [str(python), "-c", _START, str(_PACKAGE / "__init__.py"), str(_PACKAGE), *arguments]
 
 
 def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
-    """Return the versions of those ``module:distribution`` that an interpreter can find."""
+    """Return the versions of the given ``module:distribution`` entries that an interpreter can find."""
     done = subprocess.run(
         command(python, "--probe", *modules), capture_output=True, text=True, timeout=PROBE_S, check=True
     )
@@ -87,9 +87,10 @@ def ask(
     timeout: float = TIMEOUT_S,
     report: Callable[[int], None] = lambda done: None,
 ) -> list[EngineAnswer]:
-    """The answers of the engine of a ``readback.py`` to jobs, in order; ``report`` hears how many are done.
+    """Run jobs with the engine of a ``readback.py`` and return the answers in order.
 
-    One process serves all of them. When it dies or hangs, that job's answer says so and a new one goes on from there.
+    ``report`` receives the number of completed jobs. One process serves all jobs. If it dies or hangs, the answer of
+    the current job says so, and a new process continues with the next job.
     """
     answers: list[EngineAnswer] = []
     while len(answers) < len(jobs):
@@ -100,7 +101,7 @@ def ask(
 
 
 def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: float) -> Iterator[EngineAnswer]:
-    """Answers of one process, up to and including the job at which it failed."""
+    """Yield the answers of one process, up to and including the job at which it failed."""
     with tempfile.TemporaryFile() as log:
         serve = command(python, str(readback.resolve()))
         process = subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -121,7 +122,7 @@ def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: flo
 def _one(
     process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: EngineJob, timeout: float, log: IO[bytes]
 ) -> tuple[EngineAnswer, bool]:
-    """The answer to a job, and whether the process can take another."""
+    """Return the answer to a job, and true if the process can accept another."""
     start = time.monotonic()
     try:
         assert process.stdin is not None
@@ -129,8 +130,8 @@ def _one(
         process.stdin.flush()
         line = lines.get(timeout=timeout)
     except queue.Empty:
-        return _failure(f"gave no answer in {timeout:g} s", log, start), False
-    except OSError:  # a broken pipe: it died before it could read
+        return _failure(f"did not respond within {timeout:g} s", log, start), False
+    except OSError:  # a broken pipe: the process died before it read the job
         line = None
     if line is None:
         return _failure(_how_it_ended(process), log, start), False
@@ -166,5 +167,5 @@ def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
     """Return the answer of an engine that failed, with the last line that it printed."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
-    last = f"; it said: {said[-1][:200]}" if said else ""
+    last = f"; its last output was: {said[-1][:200]}" if said else ""
     return EngineAnswer(None, (), what + last, time.monotonic() - start)

@@ -1,8 +1,8 @@
-"""The read-back of an engine: what it holds of a build, in the scene's terms, and as JSON between processes.
+"""The read-back of an engine: the contents of a build in the scene's terms, and its JSON form between processes.
 
-None stands for what an engine does not tell, or does not keep. Numbers are SI; poses are ``[x, y, z, qw, qx, qy, qz]``.
-A link goes by the object's name where it is the root, else by ``object.link``; a joint by ``object.joint``. Only numpy
-is needed here: this runs beside each engine, in whatever environment it lives.
+None stands for a value that an engine does not report or does not store. Numbers are in SI units; poses are ``[x, y, z,
+qw, qx, qy, qz]``. A root link has the name of the object, any other link ``object.link``; a joint is ``object.joint``.
+This module needs only numpy, because it runs beside each engine in that engine's environment.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Numbers = tuple[float, ...]
 class ColliderReadback:
     """One collision shape.
 
-    ``name`` is the collider's in its link, None where the engine forgets it; then shapes are told apart by their order.
-    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``; ``bounds`` the low and the high corner of
-    the box about it along the axes of the link [m]; ``friction`` and ``restitution`` those of the surface, before any
-    rule for a pair; ``spinning`` and ``rolling`` its resistance against those [m].
+    ``name`` is the collider's name in its link, None if the engine does not store it; shapes are then matched by order.
+    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``. ``bounds`` are the low and high corners of
+    its bounding box along the link axes [m]. ``friction`` and ``restitution`` are those of the surface, before any pair
+    rule; ``spinning`` and ``rolling`` are its resistances [m].
     """
 
     name: str | None = None
@@ -38,14 +38,14 @@ class ColliderReadback:
 
 
 FREE, WORLD = "free", "world"
-"""What holds the root of an object."""
+"""The two values that describe a root link: free, or fixed to the world."""
 
 
 @dataclass(frozen=True)
 class LinkReadback:
-    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row by row.
+    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row-major.
 
-    ``held`` is the link that its joint hangs it on, or :data:`FREE`, or :data:`WORLD`.
+    ``held`` is the parent link, or :data:`FREE`, or :data:`WORLD`.
     """
 
     pose: Numbers | None = None
@@ -58,12 +58,12 @@ class LinkReadback:
 
 @dataclass(frozen=True)
 class JointReadback:
-    """A joint that moves; ``axis`` in the child link's frame; ``limits`` is empty where the engine says there are none.
+    """A moving joint; ``axis`` is in the child link's frame; ``limits`` is empty if the engine reports none.
 
-    A revolute joint without limits may read back as continuous, and the other way round. ``position`` is an angle or
-    a length, or the quaternion of a ball joint. ``follows`` is the joint that it follows, empty for none, by the
-    ``law`` of multiplier and offset. ``drive`` is stiffness, damping and target of its motor, and ``effort`` the
-    greatest force of that; both are empty for none.
+    A revolute joint without limits may be read back as continuous, and vice versa. ``position`` is an angle, a length,
+    or the quaternion of a ball joint. ``follows`` is the joint that it mimics, or empty, with the multiplier and offset
+    in ``law``. ``drive`` is stiffness, damping and target of its motor, and ``effort`` its maximum force; both are
+    empty without a motor.
     """
 
     type: str | None = None
@@ -81,11 +81,11 @@ class JointReadback:
 
 @dataclass(frozen=True)
 class WorldReadback:
-    """All that an engine says about a world; ``pairs`` are the frictions that it holds for pairs of colliders.
+    """All data that an engine reports about a world; ``pairs`` are its frictions for pairs of colliders.
 
-    A pair is ``link.collider`` and ``link.collider`` in alphabetical order, with a bar between; ``silent`` are pairs of
-    links that pass through each other, written the same way. ``actuators`` are the motors by name. Robots are told
-    like objects: their links as ``robot.link``, the frame of their base as ``robot``.
+    A pair is two ``link.collider`` names in alphabetical order, separated by a bar; ``silent`` are pairs of links that
+    pass through each other, in the same form. ``actuators`` are the motors by name. Robots are reported like objects,
+    with links ``robot.link`` and the base frame ``robot``.
     """
 
     links: Mapping[str, LinkReadback] = field(default_factory=dict)
@@ -96,12 +96,12 @@ class WorldReadback:
     actuators: tuple[str, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> WorldReadback:
-        """Return what :meth:`to_json` wrote."""
+        """Restore the output of :meth:`to_json`."""
         links = {name: _link(entry) for name, entry in data["links"].items()}
         joints = {name: JointReadback(**_tuples(entry)) for name, entry in data["joints"].items()}
         gravity, silent, actuators = (
@@ -119,33 +119,33 @@ class Moment:
     joints: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Moment:
-        """Return what :meth:`to_json` wrote."""
+        """Restore the output of :meth:`to_json`."""
         return cls(data["time"], {k: tuple(v) for k, v in data["poses"].items()}, data["joints"])
 
     def pose(self, name: str) -> Pose:
-        """The pose of an object in the world."""
+        """Return the pose of an object in the world."""
         return pose_of(self.poses[name])
 
 
 TIMESTEP = 1e-3
-"""Seconds a step, for engines whose build does not say: small enough for each behaviour of ``verify``."""
+"""Time step [s] for engines whose build does not set one, small enough for all behaviors of ``verify``."""
 
 
 class Session(Protocol):
-    """A build in an engine, in the state that the scene describes."""
+    """A build loaded in an engine, in the initial state of the scene."""
 
     @property
     def timestep(self) -> float:
-        """Seconds a step; 0 where the engine only reads."""
+        """Time step [s]; 0 if the engine cannot step."""
         ...
 
     def read(self) -> WorldReadback:
-        """Return what the engine holds."""
+        """Return the data that the engine holds."""
         ...
 
     def step(self) -> None:
@@ -153,36 +153,36 @@ class Session(Protocol):
         ...
 
     def moment(self, time: float) -> Moment:
-        """Return the present sample; ``time`` [s] is only written down."""
+        """Return the current sample; ``time`` [s] is only recorded."""
         ...
 
     def close(self) -> None:
-        """Let go of the engine."""
+        """Release the engine."""
         ...
 
 
 def numbers(values: object) -> Numbers:
-    """A tuple of floats from anything like an array, flattened."""
+    """Return a flat tuple of floats from any array-like value."""
     return tuple(float(v) for v in np.asarray(values, dtype=np.float64).ravel())
 
 
 def pose_numbers(pose: Pose) -> Numbers:
-    """A pose as seven numbers."""
+    """Return a pose as seven numbers."""
     return (*numbers(pose.p), *numbers(pose.q))
 
 
 def pose_of(values: Sequence[float]) -> Pose:
-    """The pose that seven numbers stand for."""
+    """Return the pose given by seven numbers."""
     return Pose.of(values[:3], values[3:])
 
 
 def pair_name(a: str, b: str) -> str:
-    """Two names in alphabetical order with a bar between."""
+    """Return two names in alphabetical order, separated by a bar."""
     return "|".join(sorted((a, b)))
 
 
 def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:
-    """The box about a primitive along the link's axes: box ``x y z``; sphere ``r``; cylinder and capsule ``r h``."""
+    """Return the bounds of a primitive in link axes: box ``x y z``; sphere ``r``; cylinder and capsule ``r h``."""
     r = X_LG.rotation
     match kind:
         case "box":
@@ -198,7 +198,7 @@ def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Number
 
 
 def mesh_bounds(vertices: Array, X_LG: Pose) -> Numbers:
-    """The box about vertices, shape (n, 3), along the link's axes."""
+    """Return the bounds of vertices, shape (n, 3), in link axes."""
     points = X_LG.apply(np.asarray(vertices, dtype=np.float64))
     return numbers([points.min(axis=0), points.max(axis=0)])
 

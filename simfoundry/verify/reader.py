@@ -1,10 +1,9 @@
 """Read builds with one engine, in a process of its own: ``python -m simfoundry.verify.reader READBACK``.
 
-READBACK is the ``readback.py`` of a target. Jobs come as lines of JSON on standard input,
-``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each is answered by one line on
-standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints goes to standard error.
-``--probe``
-says, as a line of JSON, which engines this interpreter could import, with versions.
+READBACK is the ``readback.py`` of a target. Each job is a line of JSON on standard input, ``{"build": FOLDER, "loader":
+FILE, "run": null | {"seconds": s, "every": s}}``; each result is a line of JSON on standard output, ``{"facts": …,
+"moments": […]}`` or ``{"error": …}``. Output of the engine goes to standard error. ``--probe`` prints, as a line of
+JSON, the given packages that this interpreter can import, with versions.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ from simfoundry.verify.readback import Session
 
 
 def main(arguments: list[str]) -> int:
-    """Answer every job; 0 unless the call itself is wrong."""
+    """Answer every job; return 0 unless the arguments are wrong."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # engines greet, warn and log where answers go
+    os.dup2(2, 1)  # engines print to standard output, which carries the answers
     if arguments[:1] == ["--probe"]:
         print(json.dumps(probe(arguments[1:])), file=answers, flush=True)
         return 0
@@ -36,7 +35,7 @@ def main(arguments: list[str]) -> int:
 
 
 def probe(packages: list[str]) -> dict[str, str]:
-    """The versions of those ``module:distribution`` that can be found here, without importing any."""
+    """Return the versions of the given ``module:distribution`` entries found here, without importing any."""
     found = {}
     for entry in packages:
         module, _, distribution = entry.partition(":")
@@ -52,11 +51,11 @@ def probe(packages: list[str]) -> dict[str, str]:
 
 
 def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
-    """Return what the engine holds of a build, or the samples of a run."""
+    """Return an engine's read-back of a build, or the samples of a run."""
     try:
         build = Path(job["build"])
         session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
-    except Exception as error:  # whatever the engine says against the build is the answer
+    except Exception as error:  # any error of the engine is the answer
         return {"error": f"{type(error).__name__}: {error}"}
     try:
         moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
@@ -68,7 +67,7 @@ def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
-    """Return the samples at the start and then about every ``every`` seconds, at whole steps."""
+    """Return samples at the start and then about every ``every`` seconds, at whole time steps."""
     steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
     moments = [session.moment(0.0).to_json()]
     for k in range(1, steps + 1):

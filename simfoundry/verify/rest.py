@@ -1,4 +1,5 @@
-"""Each scene left alone for two seconds in every engine: things come to rest in the same places, or who disagrees."""
+"""Comparison of resting states: each scene runs for two seconds in every engine and must come to rest in the same
+state."""
 
 from __future__ import annotations
 
@@ -18,17 +19,17 @@ from simfoundry.verify.readback import Moment, pose_of
 from simfoundry.verify.run import ProofStatus, Report, SceneBuilds
 
 LEFT_ALONE = Run(2.0, 2.0)
-"""Two seconds, in which an object that does not stand falls over."""
+"""Simulated time [s], in which an unstable object falls over."""
 
 NEAR_MM, NEAR_DEG = 1.0, 0.5
-"""How far from the others an engine may end, so that any two are within 2 mm and 1 degree."""
+"""Maximum deviation of an engine from the median state, so that any two are within 2 mm and 1 degree."""
 
 
 @dataclass(frozen=True)
 class RestResult:
-    """The places where an engine left the objects of a scene, held against the engine in the middle of all.
+    """The resting state of a scene in one engine, compared with the engine that is closest to all others.
 
-    ``mm`` and ``deg`` are those of ``worst``, a thing or a joint.
+    ``mm`` and ``deg`` are the deviations of ``worst``, an object or a joint.
     """
 
     subject: str
@@ -40,20 +41,20 @@ class RestResult:
     error: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return asdict(self) | {"verdict": self.verdict.value}
 
 
 @dataclass(frozen=True)
 class _Place:
-    """The place where an object or joint ended: a point [m], and an orientation or an angle [rad]."""
+    """The resting place of an object or joint: a point [m], and an orientation or an angle [rad]."""
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None
     angle: float = 0.0
 
     def apart(self, other: _Place) -> tuple[float, float]:
-        """Millimetres and degrees to another."""
+        """Return the distance to another place in millimeters and degrees."""
         mm = 1000 * float(np.linalg.norm(np.subtract(self.point, other.point)))
         turned = abs(self.angle - other.angle)
         if self.q is not None and other.q is not None:
@@ -68,7 +69,7 @@ def settle_subjects(
     workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[RestResult]:
-    """Every subject in which something can move, in every engine that steps; nothing where that is only one."""
+    """Run every scene with movable objects in every engine that can step; return nothing if there is only one."""
     moving = [s for s in subjects if _moves(s.scene)]
     stepping = [f for f in engines if f.engine.spec.steps]
     if len(stepping) < 2 or not moving:
@@ -88,7 +89,7 @@ def settle_subjects(
 
 
 def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[RestResult]:
-    """The verdict on each engine; ``ends`` are its last moments, or what went wrong."""
+    """Return a result for each engine; ``ends`` has their last samples or errors."""
     places = {name: _places(subject.scene, end) for name, end in ends.items() if isinstance(end, Moment)}
     things = _things(subject.scene)
     middle = {thing: _medoid([p[thing] for p in places.values()]) for thing in things} if places else {}
@@ -111,7 +112,7 @@ def _moves(scene: Scene) -> bool:
 
 
 def _things(scene: Scene) -> list[str]:
-    """Free objects, and joints that are neither fixed nor of more than one number."""
+    """Return the free objects, and the joints with exactly one degree of freedom."""
     one = (JointType.REVOLUTE, JointType.CONTINUOUS, JointType.PRISMATIC)
     free = [o.name for o in scene.objects if not o.fixed]
     return free + [f"{o.name}.{j.name}" for o in scene.objects for j in o.joints if j.type in one]
@@ -121,7 +122,7 @@ def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
     places = {}
     for item in scene.objects:
         if not item.fixed:
-            # A ball has no up side: it may have rolled on the spot.
+            # A ball has no up side, so it may have rolled in place.
             ball = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
             pose = end.poses[item.name]
             places[item.name] = _Place(pose[:3], None if ball else pose[3:])
@@ -135,5 +136,5 @@ def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
 
 
 def _medoid(places: Sequence[_Place]) -> _Place:
-    """The place that is nearest to all others."""
+    """Return the place with the smallest total distance to all others."""
     return min(places, key=lambda p: sum(sum(p.apart(other)) for other in places))

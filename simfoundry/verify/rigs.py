@@ -1,4 +1,4 @@
-"""The small machines that behaviours are measured on, as lowered scenes."""
+"""Small mechanisms for measuring behaviors, as lowered scenes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _BLUE = frozen_array([0.25, 0.45, 0.8, 1.0])
 
 
 def scene_of(name: str, *objects: SceneObject) -> Scene:
-    """A scene with the usual gravity."""
+    """Return a scene with standard gravity."""
     return Scene(name=name, gravity=frozen_array([0.0, 0.0, -GRAVITY]), objects=objects)
 
 
 def posed(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Pose:
-    """A pose from a position [m] and fixed-axis angles [rad]."""
+    """Return a pose from a position [m] and fixed-axis angles [rad]."""
     return Pose.of([x, y, z], quat_from_rpy(roll, pitch, yaw))
 
 
@@ -33,13 +33,13 @@ def solid(
     name: str, shape: Primitive, X_WO: Pose, mass: float = 0.2, friction: float = 0.5, restitution: float = 0.0,
     fixed: bool = False,
 ) -> SceneObject:  # fmt: skip
-    """One primitive, solid, about its frame."""
+    """Return an object with one primitive of uniform density at its frame."""
     link = _link("body", mass, moments(shape, mass), np.zeros(3), shape, friction, restitution)
     return SceneObject(name, name, fixed, X_WO, (link,))
 
 
 def moments(shape: Primitive, mass: float) -> Array:
-    """Principal moments of a solid box, ball or cylinder [kg m^2], shape (3,)."""
+    """Return the principal moments of inertia of a solid box, ball or cylinder [kg m^2], shape (3,)."""
     match shape:
         case Box(size=size):
             x, y, z = size
@@ -53,12 +53,12 @@ def moments(shape: Primitive, mass: float) -> Array:
 
 
 def box(x: float, y: float, z: float) -> Box:
-    """A box of full extents [m]."""
+    """Return a box with full side lengths [m]."""
     return Box(frozen_array([x, y, z]))
 
 
 def lopsided(name: str, X_WO: Pose) -> SceneObject:
-    """A ball whose centre of mass lies beside its frame, with an inertia that no axis diagonalises."""
+    """Return a ball with an off-center center of mass and a non-diagonal inertia."""
     turn = posed(0, 0, 0, 0.4, -0.3, 0.9).rotation
     inertia = turn @ np.diag([2e-4, 3e-4, 4e-4]) @ turn.T
     link = _link("body", 0.4, inertia, np.array([0.02, -0.01, 0.03]), Sphere(0.05), 0.5, 0.0)
@@ -66,7 +66,7 @@ def lopsided(name: str, X_WO: Pose) -> SceneObject:
 
 
 def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
-    """A convex mesh of six vertices that lies on its largest face, 0.12 m x 0.08 m x 0.05 m."""
+    """Return a convex mesh of six vertices that lies on its largest face, 0.12 m x 0.08 m x 0.05 m."""
     x, y, z = 0.12, 0.08, 0.05
     vertices = np.array([[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]) - [x / 3, y / 2, 0.0]
     faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
@@ -80,7 +80,7 @@ def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
 
 
 def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
-    """A box on each of several fixed ramps, side by side along y, sliding towards -x if it slides."""
+    """Return a box on each of several fixed ramps, side by side along y; a sliding box moves toward -x."""
     objects = []
     for k, angle in enumerate(degrees):
         X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))
@@ -94,7 +94,7 @@ def jointed(
     name: str, kind: JointType, axis: Sequence[float], bob: tuple[float, Array, Array], X_WO: Pose,
     limits: tuple[float, float] | None, damping: float = 0.0, friction: float = 0.0, position: float = 0.0,
 ) -> SceneObject:  # fmt: skip
-    """A mount that is fixed to the world and a bob that moves in it: ``bob`` is mass, centre of mass and inertia."""
+    """Return a mount fixed to the world and a moving bob: ``bob`` is mass, center of mass and inertia."""
     mass, com, inertia = bob
     mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04), 0.5, 0.0)
     shape = box(0.03, 0.03, 0.03)
@@ -110,7 +110,7 @@ def jointed(
 
 
 def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
-    """A physical pendulum, 0.5 kg at 0.4 m below a hinge along y, let go at an angle [rad] from hanging."""
+    """Return a physical pendulum, 0.5 kg at 0.4 m below a hinge along y, released at an angle [rad] from hanging."""
     mass, length = 0.5, 0.4
     inertia = moments(box(0.05, 0.07, 0.09), mass)
     bob = (mass, np.array([0.0, 0.0, -length]), np.diag(inertia))
@@ -119,14 +119,14 @@ def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
 
 
 def pendulum_constants() -> tuple[float, float]:
-    """Moment of inertia about the hinge [kg m^2] and restoring torque per radian [N m/rad] of :func:`pendulum`."""
+    """Return the hinge inertia [kg m^2] and restoring torque per radian [N m/rad] of :func:`pendulum`."""
     mass, length = 0.5, 0.4
     about_com = float(moments(box(0.05, 0.07, 0.09), mass)[1])
     return about_com + mass * length**2, mass * GRAVITY * length
 
 
 def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, drive: Drive | None = None) -> SceneObject:
-    """One kilogram that slides vertically, free to fall by ``travel`` [m] from its upper end; positive is down."""
+    """Return a vertical slider of 1 kg that can fall by ``travel`` [m] from its upper end; positive is down."""
     bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
     item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
                    damping=damping, friction=friction)  # fmt: skip
@@ -134,7 +134,7 @@ def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, dri
 
 
 def geared(multiplier: float) -> SceneObject:
-    """Two weights that slide down side by side, of which the ``follower`` goes ``multiplier`` times as far."""
+    """Return two weights that slide down in parallel; the ``follower`` moves ``multiplier`` times as far."""
     bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
     one = jointed("gear", JointType.PRISMATIC, [0, 0, -1], bob, posed(0, 0, 10.0, yaw=0.4), (-0.2, 3.0), damping=5.0)
     (mount, moving), (joint,) = one.links, one.joints

@@ -1,7 +1,7 @@
-"""Robots as engines should hold them: base, mass, joints and motors, taken from the robot's own model.
+"""Expected read-back of robots: base, mass, joints and motors, derived from the robot's own model.
 
-An engine tells of a robot as of an object, link by link. What counts here is what a robot's model and the scene say
-together, however a target wrote it: where its base stands, what it weighs in all, and how its joints stand and end.
+An engine reports a robot like an object, link by link. The comparison uses only quantities that the robot's model and
+the scene determine for every target: base pose, total mass, joint positions and joint limits.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from simfoundry.verify.readback import JointReadback, Numbers, WorldReadback, nu
 
 _READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
 _OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
-"""The formats of a robot that each target takes, the one that it likes best first."""
+"""The robot formats that each target accepts, in order of preference."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True)
 class RobotReadback:
-    """A robot: the ``pose`` of its base link in the world, the ``mass`` of all links [kg], its joints by their own
-    names, of which limits and position count, and its ``actuators``; None is what is not told."""
+    """A robot: the ``pose`` of its base link in the world, the total ``mass`` [kg], its joints by their own names, of
+    which limits and position are compared, and its ``actuators``; None means not reported."""
 
     pose: Numbers | None
     mass: float | None
@@ -35,12 +35,12 @@ class RobotReadback:
 
 
 def expected_robots(scene: Scene, target: str) -> dict[str, RobotReadback | None]:
-    """Return what ``target`` should hold of each robot; None if it has no model that can be looked into."""
+    """Return the expected values of each robot in ``target``; None if it has no model that can be read."""
     return {robot.name: _expected(robot, target) for robot in scene.robots}
 
 
 def without_robots(facts: WorldReadback, names: Iterable[str]) -> tuple[WorldReadback, dict[str, RobotReadback]]:
-    """The facts of the objects, and those of the robots that are there."""
+    """Split a read-back into that of the objects and that of the robots present."""
     robots = [name for name in names if any(_of(link, name) for link in facts.links)]
     ours = {
         "links": {n: f for n, f in facts.links.items() if not any(_of(n, r) for r in robots)},
@@ -62,7 +62,7 @@ def _apart(pairs: tuple[str, ...] | None, robots: list[str]) -> tuple[str, ...] 
 
 
 def _pairs(pairs: Mapping[str, float] | None, robots: list[str]) -> dict[str, float] | None:
-    """Return the pairs without those of robots, whose surfaces are as their own files have them."""
+    """Return the pairs without those of robots, whose surfaces are defined in their own files."""
     if pairs is None:
         return None
     return {p: mu for p, mu in pairs.items() if not any(_of(end, r) for r in robots for end in p.split("|"))}
@@ -70,7 +70,7 @@ def _pairs(pairs: Mapping[str, float] | None, robots: list[str]) -> dict[str, fl
 
 def _told(facts: WorldReadback, robot: str) -> RobotReadback:
     links = {n: f for n, f in facts.links.items() if _of(n, robot)}
-    # A base that is welded to the world has no mass in some engines: the rest is then compared without it.
+    # Some engines report no mass for a base welded to the world; the mass of the rest is then compared without it.
     masses = [f.mass for f in links.values() if f.mass is not None]
     joints = {n.removeprefix(f"{robot}."): f for n, f in facts.joints.items() if _of(n, robot)}
     actuators = None
@@ -102,7 +102,7 @@ def _expected(robot: Robot, target: str) -> RobotReadback | None:
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
-    """The joints as MuJoCo reads the robot's file, in the state at the start; ``names`` are those of a conversion."""
+    """Return the joints as MuJoCo reads the robot's file, in the initial state; ``names`` are those of a conversion."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)
@@ -113,7 +113,7 @@ def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadb
 
 
 def _of_urdf(robot: Robot, native: NativeModel) -> RobotReadback:
-    """A URDF says what it is itself; what follows other joints has no motor."""
+    """Return the values stated by the URDF itself; mimic joints have no motor."""
     root = ET.parse(native.file).getroot()
     mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
     moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]

@@ -1,4 +1,4 @@
-"""Verify specs and behaviours in every engine, and gather the results."""
+"""Verification runs: read-back and behaviors in every engine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simfoundry.verify.engines import InstalledEngine, VerifyEngine
 from simfoundry.verify.process import TIMEOUT_S, EngineAnswer, EngineJob, ask
 
 Report = Callable[[str, int], None]
-"""Hears which engine does what, and how many units of work it has done since."""
+"""Callback that receives the current activity of an engine and the number of work units completed since."""
 
 
 class ProofStatus(StrEnum):
@@ -34,9 +34,9 @@ class ProofStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SceneBuilds:
-    """A scene to verify, its name in the table, and for each engine the build that it reads and what that lost.
+    """A scene to verify, its name in the table, and for each engine the build that it reads with its losses.
 
-    The losses are those of the backend, of which the engine may make some good.
+    The losses are those of the backend; the engine's loader may restore some of the features.
     """
 
     name: str
@@ -47,7 +47,7 @@ class SceneBuilds:
 
 @dataclass(frozen=True)
 class ReadbackResult:
-    """A subject in an engine: the comparison, or ``error`` where the engine could not load it."""
+    """The read-back of a scene in an engine: the comparison, or the ``error`` if it could not be loaded."""
 
     subject: str
     engine: str
@@ -57,7 +57,7 @@ class ReadbackResult:
 
     @property
     def verdict(self) -> ProofStatus:
-        """The worst that was found: a quantity that differs, one that is known to be lost, or none."""
+        """The worst result: an unexplained difference, a known loss, or neither."""
         if self.comparison is None:
             return ProofStatus.FAILED
         if self.comparison.mismatches:
@@ -65,7 +65,7 @@ class ReadbackResult:
         return ProofStatus.KNOWN if self.comparison.covered else ProofStatus.OK
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         found = self.comparison
         details = {} if found is None else {
             "compared": found.compared,
@@ -79,7 +79,7 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviourResult:
-    """A behaviour in an engine: the value, or ``error``; ``reason`` where the engine is known to do otherwise."""
+    """A behavior in an engine: the value or ``error``; ``reason`` explains a known deviation of the engine."""
 
     behaviour: str
     engine: str
@@ -89,12 +89,12 @@ class BehaviourResult:
     error: str
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return asdict(self) | {"verdict": self.verdict.value}
 
 
 def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
-    """Compile a scene for engines below ``folder``; engines with the same build share it."""
+    """Compile a scene for engines below ``folder``; engines that use the same build share it."""
     builds: dict[str, Path] = {}
     losses: dict[str, tuple[Loss, ...]] = {}
     compiled: dict[str, Artifact] = {}
@@ -114,7 +114,7 @@ def read_subjects(
     workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[ReadbackResult]:
-    """Every subject in every engine, engine by engine; ``workers`` engines at a time."""
+    """Read every scene in every engine, engine by engine, with ``workers`` engines in parallel."""
 
     def one(found: InstalledEngine) -> list[ReadbackResult]:
         engine = found.engine
@@ -138,7 +138,7 @@ def measure_behaviours(
     behaviours: Sequence[Behaviour], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[BehaviourResult]:  # fmt: skip
-    """Every behaviour in every engine that steps."""
+    """Measure every behavior in every engine that can step."""
 
     def one(found: InstalledEngine) -> list[BehaviourResult]:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
@@ -150,14 +150,14 @@ def measure_behaviours(
 
 
 class _Bench:
-    """Runs the measurements of one engine: all trials that are asked for at a time go to one process."""
+    """Runs the measurements of one engine; concurrent trials go to one process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
         self._trials = 0
 
     def measure(self, behaviours: Sequence[Behaviour]) -> list[BehaviourResult]:
-        """All behaviours, in order."""
+        """Measure all behaviors, in order."""
         running: dict[str, tuple[Measurement, Trial]] = {}
         for behaviour in behaviours:
             measurement = behaviour.measure()
@@ -185,7 +185,7 @@ class _Bench:
 
 
 def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | str:
-    """The next trial, the value, or what went wrong."""
+    """Return the next trial, the measured value, or the error."""
     if answer.error:
         return answer.error
     try:
@@ -197,7 +197,7 @@ def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | 
 
 
 def judge_result(behaviour: Behaviour, engine: VerifyEngine, outcome: float | str) -> BehaviourResult:
-    """A value held against the analytic one, and against what the engine is known to do."""
+    """Compare a value with the analytic one and with the known deviation of the engine."""
     if isinstance(outcome, str):
         return BehaviourResult(behaviour.name, engine.name, None, ProofStatus.FAILED, "", outcome)
     if abs(outcome - behaviour.expected) <= engine.behaviour_tolerance(behaviour.name, behaviour.tolerance):

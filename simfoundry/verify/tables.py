@@ -1,4 +1,4 @@
-"""The results as text: a table of specs by engines, one of behaviours, and what is behind every cell that is not ok."""
+"""Text output of the results: tables of read-backs and of behaviors by engine, and details of every failure."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
 
 ABSENT = "not installed"
 SHOWN = 12
-"""How many differences of one subject in one engine are printed; JSON has all."""
+"""Maximum number of differences printed per scene and engine; the JSON output has all."""
 
 
 def reading_cell(reading: ReadbackResult) -> str:
-    """``ok``, ``ok, 3 lost``, ``2 mismatches`` or ``failed``."""
+    """Return ``ok``, ``ok, 3 lost``, ``2 mismatches`` or ``failed``."""
     found = reading.comparison
     if found is None:
         return "failed"
@@ -26,7 +26,7 @@ def reading_cell(reading: ReadbackResult) -> str:
 
 
 def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, InstalledEngine | None]) -> str:
-    """Specs down, engines across."""
+    """Return a table with a row per spec and a column per engine."""
     cells = {(r.subject, r.engine): reading_cell(r) for r in readings}
     subjects = list(dict.fromkeys(r.subject for r in readings))
     rows = [["", *engines], *([s, *(cells.get((s, e), ABSENT) for e in engines)] for s in subjects)]
@@ -34,7 +34,7 @@ def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, Ins
 
 
 def measured_cell(measured: BehaviourResult) -> str:
-    """The value; marked where it is known to be off, or wrong."""
+    """Return the value, marked if its deviation is known or if it is wrong."""
     if measured.value is None:
         return "failed"
     marks = {ProofStatus.OK: "", ProofStatus.KNOWN: " *", ProofStatus.MISMATCH: " (!)"}
@@ -44,7 +44,7 @@ def measured_cell(measured: BehaviourResult) -> str:
 def behaviours_table(
     results: Sequence[BehaviourResult], behaviours: Sequence[Behaviour], engines: Mapping[str, InstalledEngine | None]
 ) -> str:
-    """Behaviours down, engines across; a star marks what an engine is known not to do."""
+    """Return a table with a row per behavior and a column per engine; a star marks known deviations."""
     names = [name for name, found in engines.items() if found is not None and found.engine.spec.steps]
     cells = {(m.behaviour, m.engine): measured_cell(m) for m in results}
     rows = [["", "answer", *names]]
@@ -55,14 +55,14 @@ def behaviours_table(
 
 
 def rested_cell(rested: RestResult) -> str:
-    """Return how far an engine ends from the others."""
+    """Return the distance of an engine's resting state from the others."""
     if rested.verdict is ProofStatus.FAILED:
         return "failed"
     return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is ProofStatus.MISMATCH else "")
 
 
 def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEngine | None]) -> str:
-    """Specs down, engines across."""
+    """Return a table with a row per spec and a column per engine."""
     names = [name for name in engines if any(r.engine == name for r in rested)]
     cells = {(r.subject, r.engine): rested_cell(r) for r in rested}
     subjects = dict.fromkeys(r.subject for r in rested)
@@ -72,7 +72,7 @@ def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEn
 def details(
     readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult], rested: Iterable[RestResult] = ()
 ) -> list[str]:
-    """A line for everything that is wrong, and for what an engine is known not to do."""
+    """Return a line for every failure and every known deviation of an engine."""
     lines: list[str] = []
     for reading in readings:
         where = f"{reading.subject} in {reading.engine}"
@@ -98,7 +98,7 @@ def details(
 
 
 def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult]) -> list[str]:
-    """Return what engines do not keep, each reason once, with how often it was seen."""
+    """Return the known losses of the engines, each reason once with its number of occurrences."""
     counts: dict[str, int] = {}
     for reading in readings:
         for d in reading.comparison.covered if reading.comparison else ():
@@ -109,7 +109,7 @@ def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourR
 
 
 def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:
-    """Losses that a report claims and the engine does not show."""
+    """Return the losses that a report states although the engine preserves the quantity."""
     return [
         f"{r.subject} in {r.engine}: the loss report names {path}, but the engine holds it exactly"
         for r in readings
@@ -118,13 +118,13 @@ def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:
 
 
 def difference_line(d: Difference) -> str:
-    """Object, quantity, expected, got, relative error."""
+    """Return object, quantity, expected value, actual value and relative error as text."""
     error = f" (off by {d.error:.2g})" if d.error not in (float("inf"),) and d.error == d.error else ""
     return f"{d.name}: {d.quantity}: expected {value_text(d.expected)}, got {value_text(d.got)}{error}"
 
 
 def value_text(value: object) -> str:
-    """A value as people read it: six digits, ``none`` for nothing."""
+    """Format a value for display: six digits, ``none`` for None."""
     if value is None:
         return "none"
     if isinstance(value, list | tuple):
@@ -133,7 +133,7 @@ def value_text(value: object) -> str:
 
 
 def absent_line(engine: VerifyEngine) -> str:
-    """Return the line that says how to get an engine that was not found."""
+    """Return the line that explains how to install an engine that was not found."""
     return f"{engine.name}: {ABSENT}: {engine.spec.install}, or name its interpreter: --python {engine.family}=PATH"
 
 

@@ -1,4 +1,4 @@
-"""Simulators that hold a scene, behind one protocol."""
+"""Simulators that hold a scene, behind a common protocol."""
 
 from importlib import import_module
 
@@ -9,29 +9,29 @@ from simfoundry.worlds.base import Contact, World
 
 
 class UnknownWorldError(SimfoundryError):
-    """A name of no simulator that scenes can be run in here."""
+    """An unknown simulator name; the message lists the valid names."""
 
 
 def world_names() -> tuple[str, ...]:
-    """The simulators that scenes can be run in: the targets whose profile names a ``world``."""
+    """Return the simulators in which scenes can be run: the targets whose profile names a ``world``."""
     return tuple(name for name in target_names() if find_target(name).profile.world is not None)
 
 
 def open_world(scene: Scene, engine: str) -> World:
     """Open ``scene`` in the simulator called ``engine``.
 
-    Raises :class:`UnknownWorldError`, and :class:`MissingEngineError`, which says how to install it.
+    Raises :class:`UnknownWorldError`, or :class:`MissingEngineError`, which explains how to install it.
     """
     world = _world_class(engine)
     if world is None:
-        raise UnknownWorldError(f"no world runs in `{engine}`; there are: {', '.join(world_names())}")
+        raise UnknownWorldError(f"scenes cannot be run in `{engine}`; the simulators are: {', '.join(world_names())}")
     module, _, name = world.partition(":")
     opened: World = getattr(import_module(module), name)(scene)
     return opened
 
 
 def is_world(engine: str) -> bool:
-    """Return whether scenes can be run in the simulator called ``engine``."""
+    """Return true if scenes can be run in the simulator called ``engine``."""
     return _world_class(engine) is not None
 
 

@@ -1,4 +1,4 @@
-"""The protocol of a world: what every simulator offers, so that predicates, tasks and checks run on any of them."""
+"""The protocol of a world, which lets predicates, tasks and checks run in any simulator."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from simfoundry.predicates import Judge, Verdict
 
 Image = NDArray[np.uint8]
-"""A colour picture: sRGB, shape (h, w, 3)."""
+"""A color image: sRGB, shape (h, w, 3)."""
 
 CONTACT_GAP = 1e-3
-"""Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
+"""Maximum gap between surfaces in contact [m], for any contact margin of the engine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """One point where two objects touch.
+    """One contact point between two objects.
 
-    ``depth`` [m] is positive when they interpenetrate and negative for a gap, at most :data:`CONTACT_GAP`; ``normal``
-    is the unit vector from ``a`` towards ``b`` and ``position`` [m] the point, both in the world, shape (3,).
+    ``depth`` [m] is positive for penetration and negative for a gap, which is at most :data:`CONTACT_GAP`. ``normal``
+    is the unit vector from ``a`` toward ``b`` and ``position`` [m] the contact point, both in the world, shape (3,).
     """
 
     a: str
@@ -42,16 +42,16 @@ class Contact:
 
 
 class Judging:
-    """The judge of a world: predicates on the state that it is in, as on any other state of its scene."""
+    """Evaluation of predicates in the current state of a world."""
 
     scene: Scene
 
     def judge(self, condition: Any) -> Verdict:
-        """Judge a condition, as ``"OnTop(cup, desk)"``, in the present state."""
+        """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
         return self._judge(condition, self.state())
 
     def state(self) -> SceneState:
-        """Return the present state."""
+        """Return the current state."""
         raise NotImplementedError
 
     @cached_property
@@ -68,55 +68,56 @@ class World(Protocol):
 
     @property
     def timestep(self) -> float:
-        """Seconds a step."""
+        """Time step [s]."""
         ...
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Go to ``state``, at rest; without one, to the state that the scene describes.
+        """Set ``state`` with zero velocities; without one, the state that the scene describes.
 
-        What ``state`` does not mention is as the scene describes it; its speeds are not taken up. Robots hold where
-        they are put. A KeyError names what is not in the scene.
+        Values that ``state`` omits are those of the scene; its velocities are ignored. Robots hold their positions.
+        Raises a KeyError for names that are not in the scene.
         """
         ...
 
     def step(self, n: int = 1) -> None:
-        """Advance ``n`` steps."""
+        """Advance by ``n`` time steps."""
         ...
 
     def halt(self) -> None:
-        """Set every velocity to zero; poses and positions stay."""
+        """Set all velocities to zero; poses and positions are unchanged."""
         ...
 
     def state(self) -> SceneState:
-        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
         ...
 
     def judge(self, condition: Any) -> Verdict:
-        """Judge a condition, as ``"OnTop(cup, desk)"``, in the present state."""
+        """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
         ...
 
     def contacts(self) -> list[Contact]:
-        """Contacts between different objects and robots, now."""
+        """Return the current contacts between different objects and robots."""
         ...
 
     def robot(self, name: str) -> WorldRobot:
-        """The robot called ``name``; a KeyError lists the names there are."""
+        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
         ...
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render what a camera of the scene sees now, robots included: sRGB, uint8, shape (height, width, 3).
+        """Render a camera of the scene, including robots: sRGB, uint8, shape (height, width, 3).
 
-        The camera's picture is scaled evenly, and cut at the middle where the shape is another. Nothing moves by it. A
-        KeyError lists the cameras there are; a RenderError says what is missing to draw.
+        The camera image is scaled uniformly and cropped about the center if the aspect ratio differs. The state is
+        unchanged. Raises a KeyError with the valid names for an unknown camera, and a RenderError if rendering is not
+        available.
         """
         ...
 
     def trouble(self) -> str:
-        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
+        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
         ...
 
     def close(self) -> None:
-        """Let go of the simulator."""
+        """Release the simulator."""
         ...
 
     def __enter__(self) -> Self:
@@ -131,9 +132,9 @@ class World(Protocol):
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
-    """``state`` with the scene's own values for what it does not mention; a KeyError names what the scene lacks.
+    """Complete ``state`` with the scene's own values; raise a KeyError for names that the scene lacks.
 
-    A joint that follows another is where that leads it, unless ``state`` says where it is.
+    A mimic joint is at the position given by its leader, unless ``state`` contains it.
     """
     initial = SceneState.initial(scene)
     if state is None:
@@ -153,7 +154,7 @@ def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
 
 
 def _led(owner: str, joint: Joint, by_name: Mapping[str, Joint], joints: Mapping[str, float]) -> float:
-    """Position [rad or m] of a joint from that of the one at the head of those that it follows."""
+    """Return the position [rad or m] of a mimic joint from that of the first leader in its chain."""
     if joint.mimic is None:
         return joints[f"{owner}.{joint.name}"]
     return joint.mimic.position(_led(owner, by_name[joint.mimic.joint], by_name, joints))

@@ -1,4 +1,4 @@
-"""Inventory of what is installed, what it is for, and how to get what is missing."""
+"""Inventory of the installed components, their purposes, and the commands that install missing ones."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from simfoundry.models import images, meshes
 from simfoundry.runtime.extras import EXTRAS, install_line
 
 PYBULLET_REMEDY = (
-    f"{install_line('pybullet')} (wheels exist up to Python 3.11 on Linux; elsewhere pip compiles it, which takes "
-    "some minutes and needs a C++ compiler)"
+    f"{install_line('pybullet')} (wheels exist for Linux up to Python 3.11; elsewhere pip compiles it, which takes "
+    "several minutes and requires a C++ compiler)"
 )
-GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then pictures are ray-cast"
+GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then, pictures are ray-cast"
 
 
 SECTIONS = ("packages", "extras", "robots", "renderers", "models")
-"""What is looked at, in this order."""
+"""The sections of the inventory, in order."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One thing that the project can use. ``version`` is what is here, empty where it is missing."""
+    """One component that the project can use. ``version`` is the installed version, or empty if it is missing."""
 
     section: str
     name: str
@@ -39,7 +39,7 @@ class Part:
     remedy: str
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a plain mapping."""
         return asdict(self)
 
 
@@ -50,21 +50,21 @@ _PACKAGES = (
     ("click", "click", "the command line"),
     ("rich", "rich", "progress bars"),
     ("pillow", "PIL", "reading pictures"),
-    ("opencv-python-headless", "cv2", "working on pictures"),
+    ("opencv-python-headless", "cv2", "image processing"),
     ("trimesh", "trimesh", "reading meshes"),
     ("coacd", "coacd", "convex parts"),
-    ("fast-simplification", "fast_simplification", "large meshes made smaller"),
-    ("mapbox-earcut", "mapbox_earcut", "triangles of outlines"),
-    ("scipy", "scipy", "hulls, spatial search"),
+    ("fast-simplification", "fast_simplification", "simplification of large meshes"),
+    ("mapbox-earcut", "mapbox_earcut", "triangulation of outlines"),
+    ("scipy", "scipy", "convex hulls, spatial search"),
     ("shapely", "shapely", "outlines"),
     ("usd-core", "pxr.Usd", "USD worlds"),
     ("mujoco", "mujoco", "MuJoCo worlds, settling, rendering"),
 )
-"""Name of the distribution, of the module, and what for. All are required."""
+"""Distribution name, module name and purpose of each required package."""
 
 
 def examine() -> list[Part]:
-    """Every part, section by section, in a fixed order; nothing is fetched, and no model is asked anything."""
+    """Return every component by section in a fixed order; nothing is downloaded and no model server is contacted."""
     return [*_packages(), *_extras(), *_robots(), *_renderers(), *_models()]
 
 
@@ -77,7 +77,7 @@ def _packages() -> Iterator[Part]:
 
 
 def _extras() -> Iterator[Part]:
-    """The extras; those that are slow to load are only looked for."""
+    """Yield the extras; packages that are slow to load are only located, not imported."""
     for extra in EXTRAS.values():
         found, problem = "", ""
         if extra.name == "pybullet":
@@ -92,7 +92,7 @@ def _extras() -> Iterator[Part]:
 
 
 def _robots() -> Iterator[Part]:
-    """The known robots: whether a model of each is here, and else what brings it."""
+    """Yield the known robots, with the command that installs their models if they are missing."""
     from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
     from simfoundry.spec.models.robot import RobotSpec
@@ -116,40 +116,44 @@ def _renderers() -> Iterator[Part]:
 
     drivers = working_drivers()
     for name in ("egl", "osmesa"):
-        remedy = GL_REMEDY if sys.platform.startswith("linux") else "there is none for this system; rays draw instead"
+        remedy = (
+            GL_REMEDY
+            if sys.platform.startswith("linux")
+            else "not available on this system; the ray caster is used instead"
+        )
         yield Part("renderers", name, "works" if name in drivers else "", False, "MuJoCo's renderer", remedy)
-    yield Part("renderers", "raycast", "built in", False, "pictures of scenes where there is no driver", "")
+    yield Part("renderers", "raycast", "built in", False, "pictures of scenes without a GL driver", "")
 
 
 def _models() -> Iterator[Part]:
-    """Yield the ways to foundation models, by names and addresses that the user gives; else nothing is asked."""
+    """Yield the connections to foundation models that the user has configured; no server is contacted."""
     vlm = EXTRAS["vlm"]
     found = "" if vlm.missing else f"pydantic-ai {_version('pydantic-ai-slim')}"
-    purpose = "proposes tasks and variants: `--vlm MODEL`, with the key in its provider's variable"
+    purpose = "proposes tasks and variants (`--vlm MODEL`, with the API key in the provider's variable)"
     yield Part("models", "vision-language", found, False, purpose, install_line("vlm"))
     for name, variable, purpose in (
-        ("images", images.URL, "draws variants of objects, for recipes that ask for it"),
-        ("meshes", meshes.URL, "makes meshes of pictures, for recipes that ask for it"),
+        ("images", images.URL, "draws variants of objects, for recipes that request it"),
+        ("meshes", meshes.URL, "creates meshes from pictures, for recipes that request it"),
     ):
         address = "set" if os.environ.get(variable) else ""
         yield Part("models", name, address, False, purpose, f"export {variable}=http://…, the address of its server")
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """The version of a package that can be imported; else nothing, and what went wrong if it is installed."""
+    """Return the version of an importable package; otherwise an empty version, and the error if it is installed."""
     from simfoundry.worlds.pybullet_world import quiet_native_output
 
     try:
         with quiet_native_output():
             loaded = importlib.import_module(module)
-    except Exception as error:  # a library that the package needs may be missing, and say so in its own way
+    except Exception as error:  # a missing library can raise any exception
         reason = "" if isinstance(error, ModuleNotFoundError) else f" (importing it fails: {error})"
         return "", reason
     return _version(name) or str(getattr(loaded, "__version__", "unknown")), ""
 
 
 def _version(name: str) -> str:
-    """The version of an installed distribution; empty for one of another name, as OpenCV has several."""
+    """Return the version of an installed distribution; empty if its name differs, as for variants of OpenCV."""
     try:
         return version(name)
     except PackageNotFoundError:

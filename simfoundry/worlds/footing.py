@@ -1,4 +1,4 @@
-"""The support of an object, and whether it stands there or would topple."""
+"""The supports of an object, and its stability on them."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Contact, World
 
 UPWARD = 0.5
-"""A contact carries what lies above it if its normal points up by at least this much."""
+"""Minimum upward component of the normal of a contact that supports an object."""
 
 STEEP = 0.02
-"""Contacts that point up by at least this much hold a thing where none carries it: between the walls of a vessel."""
+"""Minimum upward component if no contact is steeper than that: an object held between the walls of a container."""
 
 NUDGE_DEG = 0.5
-"""Tilt of an object to see if it stays: less than the lean of any shelf or hand-set table."""
+"""Tilt for the stability test [deg]: less than the slope of any shelf or hand-set table."""
 
 NUDGE_S = 1.5
-"""Seconds that a nudged object has to fall: more than a pencil on its tip needs."""
+"""Time for a nudged object to fall [s]: more than a pencil balanced on its tip needs."""
 
 TOPPLED = 0.1
-"""A nudged thing topples if its centre of mass loses this share of its height over the lowest point."""
+"""Fraction of its height above the lowest point that the center of mass of a toppling object loses."""
 
 FOOT = 0.001
-"""Contacts nearer to the centre of mass than this [m], seen from above, give no foothold."""
+"""Contacts within this horizontal distance of the center of mass [m] do not stabilize an object."""
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
-    """The objects that carry ``name``: those it touches from above, at normals that point up by ``upward``."""
+    """Return the objects that support ``name``: those below it with contact normals whose z is at least ``upward``."""
     below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
     below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
     return tuple(sorted(below))
 
 
 def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
-    """In the world [m], shape (3,), with the joints as the scene has them."""
+    """Return the center of mass in the world [m], shape (3,), with the joint positions of the scene."""
     poses = link_poses(item)
     masses = np.array([link.mass for link in item.links])
     centers = np.array([poses[link.name].apply(link.com) for link in item.links])
@@ -49,7 +49,7 @@ def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Return true if contacts from below lie all around the center of mass."""
+    """Return true if the contacts from below surround the center of mass."""
     center = center_of_mass(item, X_WO)
     below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
     offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
@@ -61,7 +61,7 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Return true if an object falls over when it is let go slightly tilted to either of two sides; it may roll."""
+    """Return true if an object falls over when released with a slight tilt about either axis; rolling is allowed."""
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
@@ -80,7 +80,7 @@ def topples(world: World, state: SceneState, item: SceneObject) -> bool:
 
 
 def ball_radius(item: SceneObject) -> float | None:
-    """The radius [m] of what is one sphere about its frame, and has no up side; None for anything else."""
+    """Return the radius [m] of an object that is a single sphere at its frame; None for any other object."""
     parts = [c for link in item.links for c in link.colliders]
     if len(parts) != 1 or not isinstance(parts[0].geometry, Sphere) or parts[0].X_LG.p.any():
         return None
@@ -88,5 +88,5 @@ def ball_radius(item: SceneObject) -> float | None:
 
 
 def is_ball(item: SceneObject) -> bool:
-    """Return true if an object is one sphere about its frame, which has no up side."""
+    """Return true if an object is a single sphere at its frame, which has no up side."""
     return ball_radius(item) is not None

@@ -1,4 +1,4 @@
-"""The cameras of a scene as a world moves: those that ride on links where they are now, and pictures of any size."""
+"""Cameras of a world at their current poses, including those mounted on links, for images of any size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simfoundry.worlds.base import World
 
 
 def camera_now(world: World, mounted: MountedCamera) -> Camera:
-    """The camera at its pose in the world now, to be drawn like any other."""
+    """Return the camera at its current pose in the world."""
     scene = world.scene
     if any(robot.name == mounted.carrier for robot in scene.robots):
         robot = scene.robot(mounted.carrier)
@@ -24,7 +24,7 @@ def camera_now(world: World, mounted: MountedCamera) -> Camera:
 
 
 def camera_of(world: World, name: str, width: int, height: int) -> Camera:
-    """The camera called ``name`` as it is now, for pictures of another size; a KeyError lists the names there are."""
+    """Return the current camera ``name`` for another image size; raise a KeyError with the valid names if unknown."""
     for camera in world.scene.cameras:
         if camera.name == name:
             return resized(camera, width, height)
@@ -36,12 +36,12 @@ def camera_of(world: World, name: str, width: int, height: int) -> Camera:
 
 
 def resized(camera: Camera, width: int, height: int) -> Camera:
-    """The camera with ``width`` x ``height`` pixels: scaled evenly, and cut at the middle where the shape is another.
+    """Return the camera with ``width`` x ``height`` pixels, scaled uniformly and cropped if the aspect ratio differs.
 
-    As a picture of its own size, scaled until it covers the new one, and cropped alike on both sides.
+    The result equals the original image scaled to cover the new one and then cropped equally on both sides.
     """
     scale = max(width / camera.width, height / camera.height)
     off_x, off_y = (camera.width * scale - width) / 2, (camera.height * scale - height) / 2
-    # Pixel centres are integers, so the picture begins at -0.5.
+    # Pixel centers have integer coordinates, so the image begins at -0.5.
     cx, cy = (camera.cx + 0.5) * scale - 0.5 - off_x, (camera.cy + 0.5) * scale - 0.5 - off_y
     return replace(camera, width=width, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 class MujocoRobotHandle:
-    """A :class:`~simfoundry.worlds.robot.WorldRobot` over MuJoCo: targets are set in ``data.ctrl``."""
+    """A :class:`~simfoundry.worlds.robot.WorldRobot` for MuJoCo; targets are set in ``data.ctrl``."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
         native = mujoco_model(robot)
         if native is None:
-            raise KeyError(f"robot {robot.name!r} has no model that MuJoCo reads")
+            raise KeyError(f"robot {robot.name!r} has no model that MuJoCo can read")
         self._model, self._data, self._robot, self._native = model, data, robot, native
         self._joints = {name: model.joint(f"{robot.name}.{native.joints.get(name, name)}").id for name in self._names()}
         self._servos = {name: self._servo(joint) for name, joint in self._joints.items()}
@@ -34,7 +34,7 @@ class MujocoRobotHandle:
         return tuple(name.removeprefix(start) for name in every if name.startswith(start))
 
     def _servo(self, joint: int) -> int | None:
-        """The actuator that moves a joint."""
+        """Return the actuator of a joint."""
         import mujoco
 
         direct = int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -45,7 +45,7 @@ class MujocoRobotHandle:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The arm's joints by the scene's names, in order."""
+        """The names of the arm's joints in the scene, in order."""
         return tuple(self._joints)
 
     def positions(self) -> dict[str, float]:
@@ -56,7 +56,7 @@ class MujocoRobotHandle:
         return float(self._data.qpos[self._model.jnt_qposadr[joint]])
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
         found = {}
         for name, joint in self._joints.items():
             low, high = self._model.jnt_range[joint] if self._model.jnt_limited[joint] else (-np.inf, np.inf)
@@ -64,18 +64,18 @@ class MujocoRobotHandle:
         return found
 
     def is_driven(self, name: str) -> bool:
-        """Return true if a joint of the arm has an actuator."""
+        """Return true if an arm joint has an actuator."""
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
+        """Set target positions of arm joints [rad or m]; raise a KeyError for a joint that the robot does not have."""
         for name, target in targets.items():
             if name not in self._servos:
                 raise unknown_joint(self._robot.name, name, self.joints)
             servo = self._servos[name]
             if servo is None:
                 raise KeyError(f"joint {name!r} of robot {self._robot.name!r} has no actuator")
-            # A servo of gain k pushes with k * ctrl + bias[1] * position: it rests where the two cancel.
+            # A servo with gain k applies the force k * ctrl + bias[1] * position; it rests where the two terms cancel.
             gain, spring = self._model.actuator_gainprm[servo][0], self._model.actuator_biasprm[servo][1]
             self._command(servo, target * -spring / gain)
 
@@ -85,7 +85,7 @@ class MujocoRobotHandle:
         self._data.ctrl[servo] = value
 
     def gripper(self) -> float:
-        """Return how far the gripper is closed, from 0, open, to 1."""
+        """Return the closed share of the gripper, from 0 (open) to 1 (closed)."""
         gripper = self._native.gripper
         if gripper is None:
             return 0.0
@@ -93,19 +93,19 @@ class MujocoRobotHandle:
         return gripper.closed(self._position(first))
 
     def set_gripper(self, closed: float) -> None:
-        """Set how far the gripper is to close: 0 open, 1 closed."""
+        """Set the target of the gripper: 0 is open, 1 is closed."""
         gripper = self._native.gripper
         if gripper is None:
             return
         share = min(max(closed, 0.0), 1.0)
-        led = {} if gripper.command else gripper.follow  # no servo moves what follows another
+        led = {} if gripper.command else gripper.follow  # mimic joints have no servo
         for name, (start, end) in (gripper.command or gripper.joints).items():
             if name in led:
                 continue
             self._command(self._model.actuator(f"{self._robot.name}.{name}").id, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:
-        """Pose in the world of a frame, or of a link by the model's name."""
+        """Return the pose in the world of a frame, or of a link by the model's name."""
         import mujoco
 
         mujoco.mj_kinematics(self._model, self._data)

@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     import mujoco
 
 SMALL = 640
-"""Pictures of so many pixels along a side, or fewer, are drawn quickly: policies look at them by the thousand."""
+"""Images with at most this many pixels per side are drawn in quick mode, because policies render thousands of them."""
 
 
 class MujocoWorld(Judging):
-    """A :class:`~simfoundry.worlds.World` over MuJoCo; ``model`` and ``data`` are MuJoCo's own."""
+    """A :class:`~simfoundry.worlds.World` for MuJoCo; ``model`` and ``data`` are MuJoCo's own objects."""
 
     def __init__(self, scene: Scene) -> None:
         try:
@@ -64,11 +64,11 @@ class MujocoWorld(Judging):
 
     @property
     def timestep(self) -> float:
-        """Seconds a step."""
+        """Time step [s]."""
         return float(self.model.opt.timestep)
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Go to ``state``, at rest; without one, to the state that the scene describes."""
+        """Set ``state`` with zero velocities; without one, the state that the scene describes."""
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
         self._mujoco.mj_resetDataKeyframe(self.model, self.data, self.model.key("initial").id)
@@ -93,7 +93,7 @@ class MujocoWorld(Judging):
         self._mujoco.mj_forward(self.model, self.data)
 
     def _put_robot(self, name: str, positions: Mapping[str, float]) -> None:
-        """Put a robot's joints somewhere, with its servos holding it there."""
+        """Set a robot's joint positions, with its servos holding them."""
         for row, at in zip(self._arms[name], self._arm_qpos[name], strict=True):
             if row.joint in positions:
                 self.data.qpos[at] = positions[row.joint]
@@ -105,16 +105,16 @@ class MujocoWorld(Judging):
         self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
 
     def step(self, n: int = 1) -> None:
-        """Advance ``n`` steps."""
+        """Advance by ``n`` time steps."""
         if n > 0:
             self._mujoco.mj_step(self.model, self.data, nstep=n)
 
     def halt(self) -> None:
-        """Set every velocity to zero; poses and positions stay."""
+        """Set all velocities to zero; poses and positions are unchanged."""
         self.data.qvel[:] = 0.0
 
     def state(self) -> SceneState:
-        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
         poses = {item.name: self._object_pose(item) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -143,7 +143,7 @@ class MujocoWorld(Judging):
         return SceneState.of(poses, joints, motions, robots, speeds)
 
     def contacts(self) -> list[Contact]:
-        """Contacts between different objects, now."""
+        """Return the current contacts between different objects."""
         self._mujoco.mj_forward(self.model, self.data)
         found = []
         for contact in self.data.contact[: self.data.ncon]:
@@ -154,20 +154,20 @@ class MujocoWorld(Judging):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render what a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
+        """Render a camera of the scene: sRGB, uint8, shape (height, width, 3)."""
         view = camera_of(self, camera, width, height)
         renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
-        # After a step, what is drawn would be where it was before it.
+        # After a step, MuJoCo's geom poses are those before the step.
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_comPos(self.model, self.data)
         self._mujoco.mj_camlight(self.model, self.data)
         return renderer.picture(self.data, view)
 
     def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
-        """A renderer for small pictures and one for others; each grows to hold whatever sizes were asked for.
+        """Return the renderer for small images or the one for others; each grows to hold all sizes requested so far.
 
-        Making one uploads every mesh and texture, which takes as long as tens of pictures: a new one must hold what the
-        one before it held, or two sizes would evict each other at every picture.
+        Creating a renderer uploads every mesh and texture, which takes as long as tens of images. A new one must
+        therefore hold the previous sizes as well; otherwise two sizes would evict each other at every image.
         """
         known = self._renderers.get(quick)
         if known is not None and known.holds(width, height):
@@ -183,19 +183,19 @@ class MujocoWorld(Judging):
             self._renderers.popitem()[1].close()
 
     def trouble(self) -> str:
-        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
+        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
         warnings = self._mujoco.mjtWarning
         bad = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
         if any(self.data.warning[int(kind)].number for kind in bad):
-            return "the simulation diverged: MuJoCo met numbers that are not finite or huge, and began anew"
+            return "the simulation diverged: MuJoCo found infinite or huge values and reset the state"
         return ""
 
     def robot(self, name: str) -> MujocoRobotHandle:
-        """The robot called ``name``; a KeyError lists the names there are."""
+        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
         return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
     def _object_pose(self, item: SceneObject) -> Pose:
-        # From qpos, not xpos: after a step, MuJoCo's body poses are still those before it.
+        # Computed from qpos instead of xpos, because after a step MuJoCo's body poses are those before it.
         if item.name in self._free:
             return self._free_pose(self._free[item.name])
         body = self._bodies[item.name]
@@ -205,7 +205,7 @@ class MujocoWorld(Judging):
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Let go of the GL driver; MuJoCo frees its own memory with the object."""
+        """Release the GL driver; MuJoCo frees its own memory with the object."""
         self._close_renderers()
 
     def __enter__(self) -> Self:
@@ -220,7 +220,7 @@ class MujocoWorld(Judging):
 
 
 class _Moving:
-    """The velocities of an object that can move: of its ``free`` bodies the first of six, the others turn or slide."""
+    """The velocity indices of a movable object: the first of six for each ``free`` body, and one per other joint."""
 
     def __init__(self, model: mujoco.MjModel, item: SceneObject) -> None:
         self.name, self._reach = item.name, reach(item)
@@ -235,7 +235,7 @@ class _Moving:
                 (self._sliding if slides else self._turning).extend(range(dof, dof + (1 if joint.has_axis else 3)))
 
     def speed(self, qvel: Array) -> float:
-        """A bound on the speed of its fastest point [m/s]."""
+        """Return an upper bound on the speed of the object's fastest point [m/s]."""
         fastest = 0.0
         for start in self._free:
             x, y, z, a, b, c = qvel[start : start + 6].tolist()

@@ -11,13 +11,13 @@ from simfoundry.scene.robot import Gripper
 from simfoundry.worlds.robot import unknown_joint
 
 Call = Callable[..., Any]
-"""A function of PyBullet's by name, for one client; or one of the loader's that command a motor."""
+"""A PyBullet function called by name for one client, or a loader function that commands a motor."""
 
 
 class PybulletRobotHandle:
-    """A :class:`~simfoundry.worlds.robot.WorldRobot` over PyBullet: targets are those of its position motors.
+    """A :class:`~simfoundry.worlds.robot.WorldRobot` for PyBullet; targets are those of its position motors.
 
-    ``facts`` are the robot's in ``world.json``.
+    ``facts`` is the robot's entry in ``world.json``.
     """
 
     def __init__(self, call: Call, hold: Call, press: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
@@ -34,7 +34,7 @@ class PybulletRobotHandle:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The arm's joints by the scene's names, in order."""
+        """The names of the arm's joints in the scene, in order."""
         return tuple(self._facts["arm"])
 
     def positions(self) -> dict[str, float]:
@@ -45,12 +45,12 @@ class PybulletRobotHandle:
         return float(self._call("getJointState", self._body, self._index[joint])[0])
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
         found = {name: self._limits[joint] for name, joint in self._facts["arm"].items()}
         return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
+        """Set target positions of arm joints [rad or m]; raise a KeyError for a joint that the robot does not have."""
         for name, target in targets.items():
             if name not in self._facts["arm"]:
                 raise unknown_joint(self._name, name, self.joints)
@@ -64,25 +64,25 @@ class PybulletRobotHandle:
         self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
 
     def press(self) -> None:
-        """Before a step, let each servo of the gripper push no harder than its spring would."""
+        """Limit the force of each gripper servo to that of its spring; call this before every step."""
         for joint in self._servos:
             self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
 
     def gripper(self) -> float:
-        """Return how far the gripper is closed, from 0, open, to 1."""
+        """Return the closed share of the gripper, from 0 (open) to 1 (closed)."""
         if not self._gripper.joints:
             return 0.0
         return self._gripper.closed(self._position(next(iter(self._gripper.joints))))
 
     def set_gripper(self, closed: float) -> None:
-        """Set how far the gripper is to close: 0 open, 1 closed."""
+        """Set the target of the gripper: 0 is open, 1 is closed."""
         share = min(max(closed, 0.0), 1.0)
         for joint, (start, end) in self._gripper.joints.items():
             if joint in self._facts["motors"]:
                 self._drive(joint, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:
-        """Pose in the world of a frame, or of a link by the model's name; a KeyError lists the links there are."""
+        """Return the pose in the world of a frame, or of a link by model name; a KeyError lists the valid links."""
         known = self._facts["frames"].get(name)
         link = known["link"] if known is not None else name
         if link not in self._links:
@@ -101,19 +101,19 @@ class PybulletRobotHandle:
 
     @property
     def moving(self) -> tuple[str, ...]:
-        """All joints that move, by the model's names."""
+        """The names of all movable joints in the model."""
         return tuple(self._facts["joints"])
 
     def model_positions(self) -> dict[str, float]:
-        """Return the positions of all joints that move [rad or m], by the model's names."""
+        """Return the positions of all movable joints [rad or m], by the model's names."""
         names = self.moving
         states = self._call("getJointStates", self._body, [self._index[name] for name in names])
         return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Go to where the scene has it, or joints by the model's names to ``positions`` [rad or m], at rest.
+        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by the model's names, at rest.
 
-        The motors hold it there, and what follows a joint is where that leads it.
+        The motors hold these positions, and mimic joints are set from their leaders.
         """
         given = dict(positions or {})
         for joint, follow in self._gripper.follow.items():
@@ -125,6 +125,6 @@ class PybulletRobotHandle:
             self._drive(name, given.get(name, motor["target"]))
 
     def halt(self) -> None:
-        """Set the velocities of its joints to zero."""
+        """Set the velocities of the robot's joints to zero."""
         for name in self._facts["joints"]:
             self._call("resetJointState", self._body, self._index[name], self._position(name), 0.0)

@@ -35,13 +35,13 @@ from simfoundry.worlds.robot_state import check_robots, engine_positions, positi
 from simfoundry.worlds.speed import reach
 
 BASE = -1
-"""PyBullet's index of a body's root link; any other link has the index of the joint above it."""
+"""PyBullet's index of the root link; any other link has the index of its parent joint."""
 
 
 class PybulletWorld(Judging):
-    """A :class:`~simfoundry.worlds.World` over PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
+    """A :class:`~simfoundry.worlds.World` for PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
 
-    The world is what the shipped ``load.py`` makes of the shipped files.
+    The world is created from a build by the same ``load.py`` that users get.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -71,7 +71,7 @@ class PybulletWorld(Judging):
         self._reach = {item.name: reach(item) for item in scene.objects if item.joints or not item.fixed}
         self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
         self._fresh: int = self._call("saveState")
-        """Bullet's own state before the first step: contacts and all that its solver remembers of the last one."""
+        """Bullet's saved state before the first step, including contacts and the solver's warm-start data."""
         self.reset()
 
     def _index_names(self, tree: Tree) -> None:
@@ -87,17 +87,17 @@ class PybulletWorld(Judging):
         return getattr(self._bullet, function)(*args, physicsClientId=self.client, **options)
 
     def _inertial_pose(self, body: int, index: int) -> Pose:
-        """Pose of a link's inertial frame in its link frame."""
+        """Return the pose of a link's inertial frame in its link frame."""
         p, q = self._call("getDynamicsInfo", body, index)[3:5]
         return Pose.of(p, from_xyzw(q))
 
     @property
     def timestep(self) -> float:
-        """Seconds a step."""
+        """Time step [s]."""
         return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Go to ``state``, at rest; without one, to the state that the scene describes."""
+        """Set ``state`` with zero velocities; without one, the state that the scene describes."""
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
         self._call("restoreState", self._fresh)
@@ -118,26 +118,26 @@ class PybulletWorld(Judging):
             robot.reset(engine_positions(self._arms[name], full.robots.get(name, {})))
 
     def _put(self, name: str, pose: Pose) -> None:
-        """Put the base of a body at a pose in the world, at rest."""
+        """Set the world pose of a body's base, with zero velocities."""
         X_WI = pose @ self._X_OI[name]
         self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
         self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
 
     def robot(self, name: str) -> WorldRobot:
-        """The robot called ``name``; a KeyError lists the names there are."""
+        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
         if name not in self._robots:
             raise KeyError(f"no robot {name!r}; there are: {', '.join(self._robots) or 'none'}")
         return self._robots[name]
 
     def step(self, n: int = 1) -> None:
-        """Advance ``n`` steps."""
+        """Advance by ``n`` time steps."""
         for _ in range(n):
             for robot in self._robots.values():
                 robot.press()
             self._call("stepSimulation")
 
     def halt(self) -> None:
-        """Set every velocity to zero; poses and positions stay."""
+        """Set all velocities to zero; poses and positions are unchanged."""
         for body in self.bodies.values():
             self._call("resetBaseVelocity", body, [0, 0, 0], [0, 0, 0])
         for name, at in self._joints.items():
@@ -149,7 +149,7 @@ class PybulletWorld(Judging):
             robot.halt()
 
     def state(self) -> SceneState:
-        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
         poses = {item.name: self._link_pose(self.bodies[item.name], BASE) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -169,7 +169,7 @@ class PybulletWorld(Judging):
         return SceneState.of(poses, joints, motions, robots, self._speeds())
 
     def _speeds(self) -> dict[str, float]:
-        """A bound on the speed of the fastest point of each object that can move [m/s]."""
+        """Return an upper bound on the speed of the fastest point of each movable object [m/s]."""
         speeds = dict.fromkeys(self._reach, 0.0)
         for name, tree in self._trees.items():
             if not tree.fixed:
@@ -193,24 +193,24 @@ class PybulletWorld(Judging):
         if index == BASE:
             p, q = self._call("getBasePositionAndOrientation", body)
             return Pose.of(p, from_xyzw(q)) @ self._X_OI[self._bodies[body]].inverse()
-        # Bullet keeps link frames in single precision; inertial frames, in double, lead to the same place.
+        # Bullet stores link frames in single precision; inertial frames, in double precision, give the same pose.
         p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
         return Pose.of(p, from_xyzw(q)) @ self._inertial_pose(body, index).inverse()
 
     def contacts(self) -> list[Contact]:
-        """Contacts between different objects, now."""
+        """Return the current contacts between different objects."""
         self._call("performCollisionDetection")
         found = []
         for point in self._call("getContactPoints"):
             a, b, distance = self._objects[point[1]], self._objects[point[2]], float(point[8])
             if a != b and distance <= CONTACT_GAP:
                 middle = (np.array(point[5]) + np.array(point[6])) / 2
-                normal = -np.array(point[7])  # Bullet's points from b to a
+                normal = -np.array(point[7])  # Bullet's normal points from b to a
                 found.append(Contact(a, b, -distance, frozen_array(normal), frozen_array(middle)))
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render what a camera of the scene sees now, by TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
+        """Render a camera of the scene with TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
@@ -219,7 +219,7 @@ class PybulletWorld(Judging):
         return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
 
     def trouble(self) -> str:
-        """Return why the simulation can no longer be trusted since the last reset; empty while it can."""
+        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
         for name, body in self.bodies.items():
             p, q = self._call("getBasePositionAndOrientation", body)
             if not np.isfinite([*p, *q]).all():
@@ -227,7 +227,7 @@ class PybulletWorld(Judging):
         return ""
 
     def close(self) -> None:
-        """Disconnect; a second call does nothing."""
+        """Disconnect; repeated calls have no effect."""
         if self.client >= 0 and self._bullet.isConnected(self.client):
             self._bullet.disconnect(self.client)
         self.client = -1
@@ -263,7 +263,7 @@ def _import_file(path: Path) -> ModuleType:
 
 @contextmanager
 def quiet_native_output() -> Iterator[None]:
-    """Send what native code prints nowhere; PyBullet greets on standard error and warns on standard output."""
+    """Discard the output of native code; PyBullet prints a greeting to stderr and warnings to stdout."""
     libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
     _flush(libc)
     saved = os.dup(1), os.dup(2)
@@ -273,7 +273,7 @@ def quiet_native_output() -> Iterator[None]:
         os.dup2(nowhere, 2)
         yield
     finally:
-        _flush(libc)  # else C's buffer would come out later, on the restored streams
+        _flush(libc)  # otherwise C's buffer would be printed later, to the restored streams
         os.dup2(saved[0], 1)
         os.dup2(saved[1], 2)
         for descriptor in (*saved, nowhere):

@@ -1,4 +1,4 @@
-"""Pictures of a scene, by MuJoCo's renderer where there is a GL driver, by the ray caster where there is none."""
+"""Images of a scene, by MuJoCo's renderer if a GL driver is available, otherwise by the ray caster."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ _LOG = logging.getLogger(__name__)
 
 
 def render(scene: Scene, camera: Camera, state: SceneState | None = None, engine: Engine | str = Engine.AUTO) -> Image:
-    """Draw ``scene`` in ``state`` (by default the state it describes) as ``camera`` sees it: sRGB, uint8, (h, w, 3).
+    """Render ``scene`` in ``state`` (by default the state it describes) with ``camera``: sRGB, uint8, (h, w, 3).
 
-    Intrinsics are exact with every engine, principal point and fx != fy included. Which engine ``auto`` takes is logged
-    and is what :func:`choose_engine` returns. Raises :class:`RenderError` for an engine that does not work here.
+    All engines use exact intrinsics, including the principal point and fx != fy. The engine chosen for ``auto`` is
+    logged and is the one that :func:`choose_engine` returns. Raises :class:`RenderError` for an engine that does not
+    work here.
     """
     chosen = choose_engine(engine)
     _LOG.info("drawing %s/%s with %s", scene.name, camera.name, chosen)

@@ -1,4 +1,4 @@
-"""A robot in a world: its joints, its gripper and its frames, the same in every simulator."""
+"""The protocol of a robot in a world: its joints, gripper and frames, the same in every simulator."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from simfoundry.geometry.frames import Pose
 
 
 class WorldRobot(Protocol):
-    """A robot of a world. Targets hold until they are changed; the world's ``step`` is what moves it."""
+    """A robot in a world. Targets hold until they change; the world's ``step`` advances the motion."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The arm's joints by the scene's names, in order."""
+        """The names of the arm's joints in the scene, in order."""
         ...
 
     def positions(self) -> dict[str, float]:
@@ -21,29 +21,29 @@ class WorldRobot(Protocol):
         ...
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
         ...
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set where joints of the arm are to go [rad or m], within their limits; the others keep their targets.
+        """Set target positions of arm joints [rad or m], within their limits; other joints keep their targets.
 
-        A KeyError names a joint that the robot lacks.
+        Raises a KeyError for a joint that the robot does not have.
         """
         ...
 
     def gripper(self) -> float:
-        """Return how far the gripper is closed, from 0, open, to 1. A robot without one is always at 0."""
+        """Return the closed share of the gripper, from 0 (open) to 1 (closed); always 0 without a gripper."""
         ...
 
     def set_gripper(self, closed: float) -> None:
-        """Set how far the gripper is to close: 0 open, 1 closed; values beyond are cut off."""
+        """Set the target of the gripper: 0 is open, 1 is closed; other values are clipped."""
         ...
 
     def frame(self, name: str) -> Pose:
-        """Pose in the world of one of its frames, ``hand`` or ``base``, or of a link by the model's name."""
+        """Return the pose in the world of a frame, ``hand`` or ``base``, or of a link by the model's name."""
         ...
 
 
 def unknown_joint(robot: str, joint: str, known: tuple[str, ...]) -> KeyError:
-    """The error for a joint that a robot lacks."""
+    """Return the error for a joint that a robot does not have."""
     return KeyError(f"robot {robot!r} has no joint {joint!r}; there are: {', '.join(known)}")

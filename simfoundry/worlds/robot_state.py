@@ -1,4 +1,4 @@
-"""Joint positions of robots in a state: those of the robot's canonical model, whatever model an engine has."""
+"""Joint positions of robots in a state, which are those of the canonical model, not of the engine's model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from simfoundry.scene.state import SceneState
 
 
 class Row(NamedTuple):
-    """A ``joint`` of the canonical model is at ``scale`` times where the engine's joint ``other`` is, + ``offset``."""
+    """A relation: ``joint`` of the canonical model is ``scale`` times the engine's joint ``other`` plus ``offset``."""
 
     joint: str
     other: str
@@ -25,22 +25,22 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """For the model that MuJoCo has, which is the canonical one; empty where no predicate knows the robot."""
+    """Return the rows for MuJoCo's model, which is the canonical one; empty if no predicate supports the robot."""
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 
 
 def urdf_rows(robot: Robot, moving: Iterable[str]) -> Rows:
-    """For the URDF that PyBullet has, whose joints ``moving`` are.
+    """Return the rows for PyBullet's URDF, whose movable joints are ``moving``.
 
-    Where the robot has both, an MJCF and a URDF of its own, their arms' joints are paired in order and their grippers'
-    by how far they are closed.
+    If the robot has both an MJCF and its own URDF, their arm joints are paired in order, and their gripper joints by
+    the closed share.
     """
     native, urdf = mujoco_model(robot), robot.best(ModelFormat.URDF)
     if native is None:
         return ()
     names = _names(robot, native)
-    if urdf is None:  # converted: it has the canonical names
+    if urdf is None:  # a converted URDF has the canonical names
         return tuple(Row(name, name) for name in names.values() if name in set(moving))
     if urdf is native:
         return tuple(Row(joint, other) for other, joint in names.items() if other in set(moving))
@@ -53,12 +53,12 @@ def urdf_rows(robot: Robot, moving: Iterable[str]) -> Rows:
 def _names(robot: Robot, native: NativeModel) -> dict[str, str]:
     try:
         return joint_names(robot, read_robot(robot, native, f"{robot.name}."))
-    except RobotModelError:  # a robot with balls and free joints has no canonical model
+    except RobotModelError:  # a robot with ball or free joints has no canonical model
         return {}
 
 
 def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Row]:
-    """The gripper's joints of the canonical model by those of the other: in pairs, or all by the first."""
+    """Yield the rows of the gripper joints: pairwise, or all from the first joint of the other model."""
     theirs = list(other.joints.items())
     if len(theirs) != len(own.joints):
         theirs = theirs[:1] * len(own.joints)
@@ -74,12 +74,12 @@ def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Ro
 
 
 def positions_of(rows: Rows, at: Mapping[str, float]) -> dict[str, float]:
-    """Canonical positions [rad or m] from those of the engine's joints."""
+    """Return canonical positions [rad or m] from those of the engine's joints."""
     return {row.joint: row.scale * at[row.other] + row.offset for row in rows}
 
 
 def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, float]:
-    """Positions [rad or m] of the engine's joints from canonical ones; of two rows of one joint the first counts."""
+    """Return engine joint positions [rad or m] from canonical ones; if a joint has two rows, the first one counts."""
     found: dict[str, float] = {}
     for row in rows:
         if row.joint in canonical:
@@ -88,7 +88,7 @@ def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, fl
 
 
 def check_robots(scene: Scene, rows: Mapping[str, Rows], state: SceneState | None) -> None:
-    """Raise a KeyError that names the robot or joint of a state that the scene lacks."""
+    """Raise a KeyError if a state names a robot or joint that the scene does not have."""
     for name, joints in state.robots.items() if state is not None else ():
         scene.robot(name)
         known = [row.joint for row in rows.get(name, ())]

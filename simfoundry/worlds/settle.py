@@ -1,11 +1,11 @@
-"""Settling: from fitted poses, which overlap and float a little, to poses that rest.
+"""Settling: from fitted poses, which overlap and float slightly, to poses at rest.
 
-First as the paper does it ("Object Depenetration and Physical Stability"): physics steps with all velocities set to
-zero after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is
-at rest, because a body that topples slowly looks still in the first phase. Where that does not end, because something
-rolls away or falls off the edge, it is tried once more from the same poses, with the motion taken out again and again:
-what cannot stand as it was fitted then falls over and lies where it stood. What still stands, but on less than a foot,
-is nudged, because a simulator balances a pencil on its tip for ever.
+The first phase follows the paper ("Object Depenetration and Physical Stability"): physics steps with all velocities set
+to zero after each one, until the poses are stationary, so that overlaps separate without explosions. The second phase
+runs normal dynamics until everything is at rest, because a body that topples slowly appears still in the first phase.
+If that does not end because an object rolls away or falls off an edge, settling is repeated from the same poses with
+the motion removed at intervals, so that an object that cannot stand as fitted falls over and stays in place. Objects
+that stand on too small a base are then nudged, because a simulator can balance a pencil on its tip forever.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from simfoundry.worlds.rest import is_confined, is_still
 Progress = Callable[[str, float], None]
 
 FALLEN = 0.3
-"""What is this far [m] below everything that the scene began with has fallen off it."""
+"""An object this far [m] below the lowest point of the initial scene has fallen off it."""
 
 
 @dataclass(frozen=True)
 class SettleOptions:
-    """When the phases end and what counts as passed.
+    """Settings for the end of each phase and for the evaluation.
 
-    The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where
-    the motion is damped, it is taken out every ``damped_s``.
+    The quasi-static phase ends when no object has moved more than ``still_m`` or rotated more than ``still_rad`` over
+    ``window_s``; the dynamic phase ends when the same holds over ``rest_s``. Both are limited by their ``max``. If the
+    motion is damped, velocities are set to zero every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -58,10 +58,10 @@ class SettleOptions:
 class ObjectSettle:
     """The effect of settling on one object.
 
-    ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is how far it moved
-    from its fitted pose, ``tilt_deg`` how far its up axis turned, ``turn_deg`` how far it turned at all. ``supports``
-    names what carries it now; ``support_kept`` is False where an ``OnTop`` of the scene no longer holds. What fell off
-    the scene has no pose worth keeping, so it keeps its fitted one.
+    ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is the distance from
+    its fitted pose, ``tilt_deg`` the change of its up axis, and ``turn_deg`` its total rotation. ``supports`` names the
+    objects that support it; ``support_kept`` is False if an ``OnTop`` of the scene no longer holds. An object that fell
+    off the scene keeps its fitted pose.
     """
 
     name: str
@@ -76,13 +76,13 @@ class ObjectSettle:
 
     @property
     def passed(self) -> bool:
-        """True if nothing is wrong with it."""
+        """True if the object has no problems."""
         return not self.problems
 
 
 @dataclass(frozen=True, eq=False)
 class SettleResult:
-    """The poses at rest, what happened to each free object, and which never came to rest or fell off the scene."""
+    """The poses at rest, the effect on each free object, and the objects that did not come to rest or fell off."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
@@ -90,16 +90,16 @@ class SettleResult:
 
     @property
     def at_rest(self) -> bool:
-        """True if everything came to rest on something."""
+        """True if every object came to rest on a support."""
         return not self.lost
 
     @property
     def passed(self) -> bool:
-        """True if everything came to rest and every object passed."""
+        """True if every object came to rest and passed."""
         return self.at_rest and all(o.passed for o in self.objects)
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping for reports."""
+        """Return a plain mapping for reports."""
         objects = [{**asdict(o), "passed": o.passed} for o in self.objects]
         return {"passed": self.passed, "at_rest": self.at_rest, "objects": objects}
 
@@ -110,7 +110,7 @@ def settle(
     progress: Progress | None = None,
     state: SceneState | None = None,
 ) -> SettleResult:
-    """Settle the scene of a world from ``state``, by default its own. The world is left in the settled state."""
+    """Settle a world's scene from ``state``, by default its own; the world is left in the settled state."""
     options = options or SettleOptions()
     world.reset(state)
     before, contacts_before = world.state(), world.contacts()
@@ -144,7 +144,7 @@ def settle(
 
 
 def _restless(scene: Scene, before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
-    """The objects that moved, turned, or moved a joint between two states."""
+    """Return the objects that moved, rotated, or moved a joint between two states."""
     out = {
         name
         for name, start in before.poses.items()
@@ -159,7 +159,7 @@ def _restless(scene: Scene, before: SceneState, after: SceneState, options: Sett
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:
-    """The objects that are below everything that the scene began with."""
+    """Return the objects that are below the initial scene."""
     scene = world.scene
     floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in scene.objects), default=0.0) - FALLEN
     return {o.name for o in scene.objects if not o.fixed and state.poses[o.name].p[2] < floor}
@@ -176,7 +176,7 @@ def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: se
 def _slowed(
     world: World, halt_s: float, window_s: float, most_s: float, options: SettleOptions, report: Callable[[float], None]
 ) -> None:
-    """Dynamics in which nothing gathers speed, until nothing moved over ``window_s``: a fall is slow, a roll ends.
+    """Run damped dynamics until nothing has moved over ``window_s``: falls are slow, and rolling stops.
 
     All velocities are set to zero every ``halt_s``, at least one step apart.
     """
@@ -201,7 +201,7 @@ def _stage(progress: Progress | None, name: str) -> Callable[[float], None]:
 
 
 def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> set[str]:
-    """Real dynamics; returns the objects that never came to rest, without those that fell off the scene."""
+    """Run normal dynamics; return the objects that did not come to rest, except those that fell off the scene."""
     steps = max(1, round(options.rest_s / world.timestep))
     elapsed, last = 0.0, world.state()
     restless: set[str] = set()
@@ -228,7 +228,7 @@ def _report(
     options: SettleOptions,
     problems: list[str],
 ) -> ObjectSettle:
-    """The facts of one object; ``problems`` are those known already."""
+    """Return the settling result of one object; ``problems`` lists those already known."""
     name = item.name
     start, end = before.poses[name], after.poses[name]
     drift = float(np.linalg.norm(end.p - start.p))
@@ -265,6 +265,6 @@ def _deepest(name: str, contacts: list[Contact]) -> float:
 
 
 def _tilt_deg(start: Pose, end: Pose) -> float:
-    """Return how far the body axis that pointed up at the start has turned from the vertical [deg]."""
+    """Return the angle to the vertical of the body axis that pointed up at the start [deg]."""
     up = start.inverse().rotation @ np.array([0.0, 0.0, 1.0])
     return math.degrees(math.acos(float(np.clip((end.rotation @ up)[2], -1.0, 1.0))))

@@ -1,4 +1,4 @@
-"""The extent of an object about its frame, which turns a rotation into a speed."""
+"""The extent of an object about its frame, which converts an angular velocity to a speed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from simfoundry.scene.object_shapes import bounds
 
 
 def reach(item: SceneObject) -> float:
-    """The distance [m] of the farthest corner of the box around an object from its frame."""
+    """Return the distance [m] from an object's frame to the farthest corner of its bounding box."""
     low, high = bounds(item)
     return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))

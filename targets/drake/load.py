@@ -3,10 +3,10 @@
     diagram, plant, models = load()
     simulator = pydrake.systems.analysis.Simulator(diagram)
 
-Contact friction, gravity, armature and motors come from ``physics.json``, because URDF has no place for them. Drake
-takes the harmonic mean of the frictions of a pair, and has no restitution and no Coulomb friction of joints.
+Contact friction, gravity, armature and motors come from ``physics.json``, because URDF cannot represent them. Drake
+uses the harmonic mean of a pair's frictions, and has neither restitution nor Coulomb friction in joints.
 
-A motor is an actuator with a controller that Drake steps implicitly. Where it goes is a source in the diagram:
+A motor is an actuator with a controller that Drake integrates implicitly. Its target is a source in the diagram:
 
     set_targets(diagram, plant, simulator.get_mutable_context(), models["arm"], {"joint1": 0.2})
 """
@@ -41,19 +41,19 @@ from pydrake.systems.primitives import ConstantVectorSource
 HERE = Path(__file__).resolve().parent
 
 LEAST = 1e-9
-"""Drake wants some stiffness of every controller [N/m or N m/rad]."""
+"""Minimum stiffness of a controller [N/m or N m/rad]; Drake requires a positive value."""
 
 STILL = 1e-4
-"""Below this speed [m/s] contacts stick."""
+"""Stiction threshold [m/s]: contacts below this speed stick."""
 
 COMPLIANT = DefaultProximityProperties(
     compliance_type="compliant", hydroelastic_modulus=1e7, resolution_hint=0.01, hunt_crossley_dissipation=50.0
 )
-"""Contacts over areas: Drake's contacts at single points let a slab sink into a table and hold a box on any slope."""
+"""Hydroelastic contacts; with Drake's point contacts, a slab sinks into a table and a box holds on any slope."""
 
 
 def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, ModelInstanceIndex]]:
-    """Load every object, and finish the plant."""
+    """Load all objects and finalize the plant; return the diagram, the plant and the model instances by object name."""
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     builder = DiagramBuilder()
@@ -87,7 +87,7 @@ def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, Mo
 def set_targets(
     diagram: Diagram, plant: MultibodyPlant, context: Context, model: ModelInstanceIndex, targets: dict[str, float]
 ) -> None:
-    """Let motors of an object or a robot go to other targets [rad or m] by joint; ``context`` is the diagram's."""
+    """Set targets of an object's or robot's motors [rad or m] by joint name; ``context`` is that of the diagram."""
     source = diagram.GetSubsystemByName(source_name(plant, model))
     value = source.get_mutable_source_value(source.GetMyMutableContextFromRoot(context))
     names = actuated(plant, model)
@@ -96,30 +96,30 @@ def set_targets(
 
 
 def source_name(plant: MultibodyPlant, model: ModelInstanceIndex) -> str:
-    """The system that says where the motors of a model go."""
+    """Return the name of the system that provides the motor targets of a model."""
     return f"{plant.GetModelInstanceName(model)}_targets"
 
 
 def desired(plant: MultibodyPlant, model: ModelInstanceIndex, targets: dict[str, float]) -> np.ndarray:
-    """Positions and then speeds for all actuators of a model, those without a controller as well."""
+    """Return positions, then velocities, for all actuators of a model, including those without a controller."""
     names = actuated(plant, model)
     return np.array([targets.get(name, 0.0) for name in names] + [0.0] * len(names))
 
 
 def actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
-    """The joints that have an actuator, in Drake's order."""
+    """Return the names of the joints with an actuator, in Drake's order."""
     return [plant.get_joint_actuator(k).joint().name() for k in plant.GetJointActuatorIndices(model)]
 
 
 def add_motor(plant: MultibodyPlant, joint: Joint, drive: dict[str, float]) -> None:
-    """A motor that pulls a joint to its target like a spring with a damper, up to its force limit."""
+    """Add a motor that pulls a joint to its target like a spring and damper, up to its force limit."""
     actuator = actuator_of(plant, joint)
     actuator.set_effort_limit(drive.get("force_limit", np.inf))
     actuator.set_controller_gains(PdControllerGains(p=max(drive["stiffness"], LEAST), d=drive["damping"]))
 
 
 def actuator_of(plant: MultibodyPlant, joint: Joint) -> JointActuator:
-    """The actuator of a joint, a new one where its URDF has none."""
+    """Return the actuator of a joint; add one if its URDF has none."""
     for index in plant.GetJointActuatorIndices():
         actuator = plant.get_joint_actuator(index)
         if actuator.joint().index() == joint.index():
@@ -128,7 +128,7 @@ def actuator_of(plant: MultibodyPlant, joint: Joint) -> JointActuator:
 
 
 def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: str, law: dict[str, Any]) -> None:
-    """Let a joint follow another, unless its URDF says so already."""
+    """Make a joint follow another, unless its URDF already states this."""
     said = ET.parse(urdf).getroot().findall("joint")
     if not any(joint.get("name") == name and joint.find("mimic") is not None for joint in said):
         joint, leader = (plant.GetJointByName(n, model) for n in (name, law["joint"]))
@@ -136,7 +136,7 @@ def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: s
 
 
 def convex(urdf: Path, folder: Path) -> Path:
-    """A copy of a URDF in ``folder`` whose collision meshes are called convex, which they are; it has full paths."""
+    """Copy a URDF to ``folder`` with full paths and with its collision meshes declared convex, which they are."""
     tree = ET.parse(urdf)
     for element in (*tree.getroot().iter("mesh"), *tree.getroot().iter("texture")):
         element.set("filename", str(urdf.parent / element.get("filename", "")))
@@ -149,12 +149,13 @@ def convex(urdf: Path, folder: Path) -> Path:
 def load_object(
     plant: MultibodyPlant, scene_graph: SceneGraph, urdf: Path, item: dict[str, Any], physics: dict[str, Any] | None
 ) -> ModelInstanceIndex:
-    """Load one object in its pose, with its friction, joint positions, and links that do not touch each other.
+    """Load one object at its pose, with its friction, joint positions and collision filters.
 
-    A robot with a URDF of its own has no ``physics``: it keeps Drake's surfaces, and its links pass each other.
+    A robot with its own URDF has no ``physics``; it keeps Drake's default surfaces, and its links do not collide with
+    each other.
     """
     parser = Parser(plant)
-    parser.SetAutoRenaming(True)  # two robots of a kind have one name in their files
+    parser.SetAutoRenaming(True)  # two robots of the same model have the same name in their files
     (model,) = parser.AddModels(str(urdf))
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(model)]
     X_WO = RigidTransform(Quaternion(np.array(item["q_wxyz"]) / np.linalg.norm(item["q_wxyz"])), item["p"])
@@ -173,7 +174,7 @@ def load_object(
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])
         armature = physics["joints"][name]["armature"] if physics else 0.0
-        if armature > 0:  # the inertia of a rotor, which a motor has and here also a joint without one
+        if armature > 0:  # rotor inertia; here also for joints without a motor
             rotor = actuator_of(plant, joint)
             rotor.set_default_rotor_inertia(armature)
             rotor.set_default_gear_ratio(1.0)
@@ -181,7 +182,7 @@ def load_object(
 
 
 def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
-    """Let links pass through each other, each named with its model."""
+    """Exclude collisions between the links of each pair; each link is given with its model."""
     filtered = CollisionFilterDeclaration()
     for pair in pairs:
         bodies = (plant.GetBodyByName(link, model) for model, link in pair)
@@ -192,7 +193,7 @@ def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tup
 def set_friction(
     plant: MultibodyPlant, scene_graph: SceneGraph, geometries: list[Any], surfaces: dict[str, dict[str, float]]
 ) -> None:
-    """Give each collision shape its coefficient; Drake calls it ``object::name``."""
+    """Set the friction coefficient of each collision shape, which Drake names ``object::name``."""
     inspector = scene_graph.model_inspector()
     for geometry in geometries:
         surface = surfaces[inspector.GetName(geometry).rpartition("::")[2]]
@@ -203,7 +204,7 @@ def set_friction(
 
 
 def main() -> None:
-    """Say what was loaded."""
+    """Load the world and print a summary."""
     _, plant, models = load()
     print(f"loaded {HERE / 'poses.json'}: {', '.join(models)}; {plant.num_positions()} positions")
 

@@ -1,4 +1,4 @@
-"""Drake, from the urdf build through its ``load_drake.py``."""
+"""Drake read-back of the urdf build, loaded by its ``load_drake.py``."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from simfoundry.verify.readback import (
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The diagram as its loader gives it."""
+    """Return a session for the diagram from the loader."""
     return DrakeSession(*loader.load(TIMESTEP))
 
 
 class DrakeSession:
-    """A diagram with a discrete plant."""
+    """A Drake diagram with a discrete plant."""
 
     timestep = TIMESTEP
 
@@ -51,7 +51,7 @@ class DrakeSession:
         self._bodies: dict[str, RigidBody] = {}
         self._joints: dict[str, Any] = {}
         for name, model in models.items():
-            owner = name.partition(".")[0]  # a part that moves freely is a model of its own, as `pot.lid`
+            owner = name.partition(".")[0]  # a freely moving part is a separate model, such as `pot.lid`
             for k, index in enumerate(plant.GetBodyIndices(model)):
                 body = plant.get_body(index)
                 self._bodies[name if k == 0 else f"{owner}.{body.name()}"] = body
@@ -61,16 +61,16 @@ class DrakeSession:
                     self._joints[f"{owner}.{joint.name()}"] = joint
 
     def step(self) -> None:
-        """One step of the discrete plant."""
+        """Advance the discrete plant by one step."""
         self._simulator.AdvanceTo(self._simulator.get_context().get_time() + self.timestep)
 
     def moment(self, time: float) -> Moment:
-        """Poses of the roots and positions of the joints."""
+        """Return the poses of the root links and the positions of the joints."""
         poses = {name: pose_numbers(self._pose(body)) for name, body in self._bodies.items() if "." not in name}
         return Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
 
     def read(self) -> WorldReadback:
-        """Links, joints, gravity."""
+        """Return links, joints and gravity."""
         joints = {name: self._joint(joint) for name, joint in self._joints.items()}
         return WorldReadback(
             links={name: self._link(body) for name, body in self._bodies.items()},
@@ -80,7 +80,7 @@ class DrakeSession:
         )
 
     def close(self) -> None:
-        """Drake frees the diagram with the object."""
+        """Do nothing; Drake frees the diagram with the object."""
 
     def _pose(self, body: RigidBody) -> Pose:
         return _pose(self.plant.EvalBodyPoseInWorld(self._context, body))
@@ -98,7 +98,7 @@ class DrakeSession:
                          numbers(about_com), self._held(body), colliders)  # fmt: skip
 
     def _held(self, body: RigidBody) -> str:
-        """A floating body is free; any other hangs on the parent of its joint."""
+        """Return the parent of a body: its joint's parent, or free for a floating body."""
         if body.is_floating():
             return FREE
         for index in self.plant.GetJointIndices():
@@ -113,9 +113,9 @@ class DrakeSession:
         return scene_graph.model_inspector()
 
     def _joint(self, joint: Any) -> JointReadback:
-        """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds.
+        """Return the values of a joint; Drake has no Coulomb friction, and armature is the loader's rotor inertia.
 
-        A target is told where it reaches the plant, so that a port that nobody connected shows.
+        The target is read where it reaches the plant, so that an unconnected port is detected.
         """
         kind = joint.type_name()
         low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())
@@ -140,7 +140,7 @@ class DrakeSession:
         )
 
     def _actuator(self, joint: Any) -> Any:
-        """The actuator of a joint; None where it has none."""
+        """Return the actuator of a joint; None if it has none."""
         for index in self.plant.GetJointActuatorIndices(joint.model_instance()):
             actuator = self.plant.get_joint_actuator(index)
             if actuator.joint().index() == joint.index():
@@ -148,7 +148,7 @@ class DrakeSession:
         return None
 
     def _target(self, actuator: Any) -> Numbers:
-        """Return where a controller pulls to; nothing if its port is not connected, which disarms it."""
+        """Return the target of a controller; empty if its port is not connected, which disables the controller."""
         model = actuator.model_instance()
         port = self.plant.get_desired_state_input_port(model)
         if not port.HasValue(self._context):

@@ -3,8 +3,9 @@
     scene, entities = load()
     scene.step()
 
-Poses, frictions, armatures, joint frictions and motors come from ``poses.json`` and ``physics.json``, which URDF has no
-place for. Genesis takes the larger friction of a pair. A motor goes where ``entity.control_dofs_position`` says.
+Poses, frictions, armatures, joint frictions and motors come from ``poses.json`` and ``physics.json``, because URDF
+cannot represent them. Genesis uses the larger friction of a pair. Set motor targets with
+``entity.control_dofs_position``.
 """
 
 from __future__ import annotations
@@ -19,20 +20,22 @@ import genesis as gs
 
 HERE = Path(__file__).resolve().parent
 TIMESTEP = 1 / 500
-"""Seconds a step."""
+"""Time step [s]."""
 
 FAR = 1e9
-"""No limit of the force of a motor [N or N m]."""
+"""The force limit of an unlimited motor [N or N m]."""
 
 STIFF = (0.01, 1.0, 0.999, 0.999, 0.001, 0.5, 2.0)
-"""How firmly joints are held, as MuJoCo's solref and solimp: at Genesis' own a held drawer creeps 5 mm/s."""
+"""Stiffness of joint constraints as MuJoCo's solref and solimp; with Genesis' default, a drawer held by friction creeps
+at 5 mm/s."""
 
 PAIRS = 4096
-"""Of collision shapes that may be near each other at a time: beyond Genesis' own 150 things fall through others."""
+"""Maximum number of candidate pairs of collision shapes; beyond Genesis' default of 150, objects fall through
+others."""
 
 
 def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP) -> tuple[Any, dict[str, Any]]:
-    """Load every object, build the scene, and put everything in its state; ``gs.init`` is called where it was not."""
+    """Load every object, build the scene and set its initial state; call ``gs.init`` if necessary."""
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="warning")
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
@@ -40,8 +43,8 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
     scene = gs.Scene(
         sim_options=gs.options.SimOptions(dt=time_step, gravity=tuple(physics["gravity"])),
         rigid_options=gs.options.RigidOptions(
-            friction_cone=gs.friction_cone.elliptic,  # a pyramid lets a box slip early between its axes
-            impratio=10.0,  # stiff against slipping, that Coulomb's law holds
+            friction_cone=gs.friction_cone.elliptic,  # a pyramidal cone lets a box slip too early between its axes
+            impratio=10.0,  # tangential stiffness that preserves Coulomb's law
             integrator=gs.integrator.implicitfast,
             max_collision_pairs=PAIRS,
         ),
@@ -55,7 +58,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
             set_surfaces(entity, said["links"])
             set_joints(entity, poses[name]["joints"], said["joints"])
             drives = {joint: values["drive"] for joint, values in said["joints"].items() if "drive" in values}
-        else:  # a robot with a URDF of its own keeps Genesis' surfaces
+        else:  # a robot with its own URDF keeps Genesis' default surfaces
             for joint, position in poses[name]["joints"].items():
                 entity.set_dofs_position([position], entity.get_joint(joint).dofs_idx_local)
             drives = physics["robots"][name]["motors"]
@@ -65,7 +68,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
 
 
 def add_object(scene: Any, item: dict[str, Any]) -> Any:
-    """Add one object in its pose; its parts are convex already, and its links stay apart."""
+    """Add one object at its pose; its meshes are already convex, and its links remain separate."""
     morph = gs.morphs.URDF(
         file=str(HERE / item["urdf"]),
         pos=tuple(item["p"]),
@@ -82,7 +85,7 @@ def add_object(scene: Any, item: dict[str, Any]) -> Any:
 
 
 def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
-    """Let a motor pull a joint to its target like a spring with a damper, up to its force limit."""
+    """Configure a motor that pulls a joint to its target like a spring and damper, up to its force limit."""
     dofs = entity.get_joint(joint).dofs_idx_local
     limit = drive.get("force_limit", FAR)
     entity.set_dofs_kp([drive["stiffness"]], dofs)
@@ -92,7 +95,7 @@ def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
 
 
 def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Give each collision shape its friction; a shape that Genesis has split passes its own to its parts."""
+    """Set the friction of each collision shape; if Genesis has split a shape, all of its parts get the same value."""
     for link in entity.links:
         surfaces = [surface["friction"] for surface in links[link.name].values()]
         if len(link.geoms) == len(surfaces):
@@ -114,12 +117,12 @@ def set_joints(entity: Any, positions: dict[str, float], values: dict[str, dict[
 
 
 def has_display() -> bool:
-    """Whether a window can open here."""
+    """Return true if a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def main() -> None:
-    """Open the viewer and step; without a display, step for a second and say what was loaded."""
+    """Open the viewer and step; without a display, step for one second and print a summary."""
     scene, entities = load(show_viewer=has_display())
     steps = 0
     while steps < 500 or (has_display() and scene.viewer.is_alive()):

@@ -1,4 +1,4 @@
-"""Genesis, from the urdf build through its ``load_genesis.py``."""
+"""Genesis read-back of the urdf build, loaded by its ``load_genesis.py``."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _TYPES = {gs.JOINT_TYPE.REVOLUTE: "revolute", gs.JOINT_TYPE.PRISMATIC: "prismati
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The scene as its loader gives it."""
+    """Return a session for the scene from the loader."""
     scene, entities = loader.load(time_step=TIMESTEP)
     return GenesisSession(scene, entities)
 
 
 class GenesisSession:
-    """A scene on the CPU with its entities."""
+    """A Genesis scene on the CPU with its entities."""
 
     timestep = TIMESTEP
 
@@ -56,12 +56,12 @@ class GenesisSession:
         self.scene.step()
 
     def moment(self, time: float) -> Moment:
-        """Poses of the roots and positions of the joints."""
+        """Return the poses of the root links and the positions of the joints."""
         poses = {name: pose_numbers(_poses(entity)[0]) for name, entity in self.entities.items()}
         return Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
 
     def read(self) -> WorldReadback:
-        """Links, joints, gravity."""
+        """Return links, joints and gravity."""
         links: dict[str, LinkReadback] = {}
         for name, entity in self.entities.items():
             called = {
@@ -84,12 +84,12 @@ class GenesisSession:
         )
 
     def close(self) -> None:
-        """Let go of the scene."""
+        """Release the scene."""
         self.scene.destroy()
 
 
 def _array(values: Any) -> np.ndarray:
-    """A tensor or an array in double precision."""
+    """Convert a tensor or an array to double precision."""
     return np.asarray(values.cpu() if hasattr(values, "cpu") else values, dtype=np.float64)
 
 
@@ -103,7 +103,7 @@ def _position(entity: Any, joint: Any) -> float:
 
 
 def _joint(entity: Any, joint: Any) -> JointReadback:
-    """A motor is told by its gains where it was sent to a position; Genesis gives every joint some."""
+    """Return the values of a joint; a motor is reported only if it has a position target; all joints have gains."""
     dofs = joint.dofs_idx_local
     low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
     one = {
@@ -130,7 +130,7 @@ def _joint(entity: Any, joint: Any) -> JointReadback:
 
 
 def _collider(geom: Any) -> ColliderReadback:
-    """Genesis keeps no names of shapes, and turns those that it cannot hold into meshes."""
+    """Return a collision shape; Genesis stores no names, and converts unsupported shapes to meshes."""
     kind, bounds = _shape(geom)
     return ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
 

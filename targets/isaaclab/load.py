@@ -1,4 +1,4 @@
-"""Load this world into Isaac Lab: ``scene_cfg()`` configures an ``InteractiveScene`` with it in each clone.
+"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` with the world in each clone.
 
 Start the app first (``AppLauncher``), then:
 
@@ -8,7 +8,7 @@ Start the app first (``AppLauncher``), then:
     simulation.reset()
     scene["cup"].data.root_pos_w
 
-``python load.py`` does that for one environment, with the arguments of ``AppLauncher``.
+``python load.py`` does this for one environment; it accepts the arguments of ``AppLauncher``.
 """
 
 from __future__ import annotations
@@ -23,41 +23,43 @@ ROOT = "{ENV_REGEX_NS}/World"
 
 
 def description() -> dict[str, Any]:
-    """Gravity and the objects with their prims, as ``objects.json`` has them."""
+    """Return ``objects.json``: gravity, and the objects with their prims."""
     found: dict[str, Any] = json.loads((HERE / "objects.json").read_text(encoding="utf-8"))
     return found
 
 
 def simulation_cfg(**settings: Any) -> Any:
-    """A ``SimulationCfg`` with the gravity of the scene; ``settings`` are its other fields."""
+    """Return a ``SimulationCfg`` with the gravity of the scene; ``settings`` are its other fields."""
     import isaaclab.sim as sim_utils
 
     return sim_utils.SimulationCfg(gravity=tuple(description()["gravity"]), **settings)
 
 
 def quaternion(wxyz: list[float], identity: tuple[float, ...]) -> tuple[float, ...]:
-    """A rotation in the order in which Isaac Lab writes ``identity``: w first up to version 2, w last from 3 on.
+    """Return a rotation in Isaac Lab's quaternion order, given by ``identity``: w first up to version 2, then last.
 
-    The default of its own configuration is asked, because the version of the Python package is not that of the release
-    (Isaac Lab 2.3 calls itself 0.4x). Raises :class:`ValueError` for a default that is neither order's identity.
+    The default of its configuration is used because the version of the Python package differs from that of the release
+    (Isaac Lab 2.3 is 0.4x). Raises :class:`ValueError` if the default is an identity in neither order.
     """
     w, x, y, z = wxyz
     if tuple(identity) == (1.0, 0.0, 0.0, 0.0):
         return w, x, y, z
     if tuple(identity) == (0.0, 0.0, 0.0, 1.0):
         return x, y, z, w
-    message = f"the default rotation of `InitialStateCfg` is {tuple(identity)}, which is no identity in wxyz or xyzw"
-    raise ValueError(f"{message}; this loader knows Isaac Lab 2 and 3")
+    message = (
+        f"the default rotation of `InitialStateCfg` is {tuple(identity)}, which is not an identity in wxyz or xyzw"
+    )
+    raise ValueError(f"{message}; this loader supports Isaac Lab 2 and 3")
 
 
 def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> Any:
-    """An ``InteractiveSceneCfg``: the stage in each environment, and every object that moves by its name."""
+    """Return an ``InteractiveSceneCfg`` with the stage in each environment, and all movable objects by name."""
     import isaaclab.sim as sim_utils
     from isaaclab.assets import ArticulationCfg, AssetBaseCfg, RigidObjectCfg
     from isaaclab.scene import InteractiveSceneCfg
 
     config = InteractiveSceneCfg(num_envs=num_envs, env_spacing=env_spacing, **settings)
-    # The simulation brings a physics scene; `environment.usda` is the stage without its own.
+    # The simulation creates its own physics scene; `environment.usda` is the stage without one.
     spawn = sim_utils.UsdFileCfg(usd_path=str(HERE / "environment.usda"))
     config.world = AssetBaseCfg(prim_path=ROOT, spawn=spawn)
     identity = AssetBaseCfg.InitialStateCfg().rot
@@ -74,7 +76,7 @@ def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> A
 
 
 def main() -> None:
-    """Load one environment, step it for a second, and say what is there."""
+    """Load one environment, step it for one second, and print a summary."""
     from isaaclab.app import AppLauncher
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -1,7 +1,7 @@
-"""Load this world into Isaac Sim: ``load()`` opens the stage; ``python load.py`` shows it and plays.
+"""Load this world into Isaac Sim: ``load()`` opens the stage; ``python load.py`` displays and simulates it.
 
-Run it with the Python of Isaac Sim. ``SimulationApp`` must exist before anything else of Isaac Sim is imported: from
-your own script, start it first and then call ``load()``.
+Run this script with Isaac Sim's Python. ``SimulationApp`` must exist before any other module of Isaac Sim is imported;
+in your own script, start it before you call ``load()``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SCENE = Path(__file__).resolve().parent / "scene.usda"
 
 
 def load() -> Any:
-    """Open the stage in the running app and return it; contacts are PhysX's, exactly as the scene means them."""
+    """Open the stage in the running app and return it; PhysX computes contacts exactly as the scene defines them."""
     import omni.usd
 
     context = omni.usd.get_context()
@@ -25,12 +25,12 @@ def load() -> Any:
 
 
 def has_display() -> bool:
-    """Whether a window can open here."""
+    """Return true if a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def main() -> None:
-    """Open the app, play while its window is open; without a display, step for a second and say what was loaded."""
+    """Simulate until the window is closed; without a display, step for one second and print a summary."""
     from isaacsim import SimulationApp
 
     app = SimulationApp({"headless": not has_display()})

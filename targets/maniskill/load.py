@@ -5,8 +5,8 @@
     env.reset(seed=0)
     env.unwrapped.things["cup"].pose
 
-Poses, contact materials, joint friction and motors come from ``poses.json`` and ``physics.json``, which URDF has no
-place for.
+Poses, contact materials, joint friction and motors come from ``poses.json`` and ``physics.json``, because URDF cannot
+represent them.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ HERE = Path(__file__).resolve().parent
 POSES: dict[str, Any] = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
 PHYSICS: dict[str, Any] = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
 FAR = 3.4e38
-"""No limit of the force of a motor [N or N m]."""
+"""The force limit of an unlimited motor [N or N m]."""
 
 
 @register_env("SimFoundryScene-v1", max_episode_steps=600)
 class SceneEnv(BaseEnv):
-    """The scene without a task: no success, no reward; things are at their poses after each reset."""
+    """The scene without a task: no success and no reward; each reset returns objects to their initial poses."""
 
     SUPPORTED_REWARD_MODES = ("none",)
 
@@ -56,7 +56,7 @@ class SceneEnv(BaseEnv):
         loader.name, loader.fix_root_link = name, item["fixed"]
         parsed = loader.parse(str(HERE / item["urdf"]))
         pose = sapien.Pose(item["p"], item["q_wxyz"])
-        said = PHYSICS["objects"].get(name)  # nothing of a robot with a URDF of its own: it keeps ManiSkill's surfaces
+        said = PHYSICS["objects"].get(name)  # None for a robot with its own URDF, which keeps the default surfaces
         surfaces = {} if said is None else said["links"]
         if parsed["actor_builders"]:
             (builder,) = parsed["actor_builders"]
@@ -73,7 +73,7 @@ class SceneEnv(BaseEnv):
                 joint.set_friction(said["joints"][joint.name]["friction"])
             if joint.name in (drives := drives_of(name)):
                 drive = drives[joint.name]
-                damping = drive["damping"] + float(joint.get_damping()[0])  # PhysX's drive also is the joint's damping
+                damping = drive["damping"] + float(joint.get_damping()[0])  # PhysX has one damping for drive and joint
                 joint.set_drive_properties(drive["stiffness"], damping, drive.get("force_limit", FAR))
         return articulation
 
@@ -93,12 +93,12 @@ class SceneEnv(BaseEnv):
                     thing.set_pose(sapien.Pose(item["p"], item["q_wxyz"]))
 
     def evaluate(self) -> dict[str, Any]:
-        """A scene has no goal."""
+        """Return no results, because a scene has no goal."""
         return {}
 
 
 def drives_of(name: str) -> dict[str, dict[str, float]]:
-    """The motors of an object or a robot by joint."""
+    """Return the motors of an object or a robot by joint."""
     if name in PHYSICS.get("robots", {}):
         motors: dict[str, dict[str, float]] = PHYSICS["robots"][name]["motors"]
         return motors
@@ -106,21 +106,21 @@ def drives_of(name: str) -> dict[str, dict[str, float]]:
 
 
 def set_surfaces(builder: Any, surfaces: dict[str, dict[str, float]]) -> None:
-    """Give each collision shape of a builder its material, in the order of the URDF."""
+    """Set the material of each collision shape of a builder, in the order of the URDF."""
     for record, surface in zip(builder.collision_records, surfaces.values(), strict=True):
         mu = surface["friction"]
         record.material = sapien.physx.PhysxMaterial(mu, mu, surface["restitution"])
 
 
 def load(num_envs: int = 1, **settings: Any) -> Any:
-    """The environment, reset; ``settings`` go to ``gymnasium.make``."""
+    """Create the environment and reset it; ``settings`` are passed to ``gymnasium.make``."""
     env = gymnasium.make("SimFoundryScene-v1", num_envs=num_envs, **settings)
     env.reset(seed=0)
     return env
 
 
 def main() -> None:
-    """Say what was loaded."""
+    """Load the world and print a summary."""
     env = load()
     print(f"loaded {HERE / 'poses.json'}: {', '.join(env.unwrapped.things)}")
     env.close()

@@ -1,8 +1,8 @@
 """Load this world: ``load()`` returns a MuJoCo model and its data; ``python load.py`` opens the viewer.
 
-``load()`` makes all contacts what their two surfaces mean together, from the numbers in ``scene.xml`` as it is now.
-After an edit of a friction, ``python load.py --contacts`` writes ``contacts.xml`` anew, for programs that open
-``scene.xml`` themselves.
+``load()`` gives all contacts the exact properties of their two surfaces, from the current values in ``scene.xml``.
+After you change a friction, ``python load.py --contacts`` updates ``contacts.xml`` for programs that open ``scene.xml``
+directly.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def read_rules() -> ModuleType:
-    """Return the module ``contact_rules.py`` beside this one, whichever folder Python was started in."""
+    """Import the module ``contact_rules.py`` beside this file, for any working directory."""
     spec = importlib.util.spec_from_file_location("contact_rules", HERE / "contact_rules.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -41,7 +41,7 @@ def load() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def write_contacts() -> None:
-    """Write the pairs of contacts anew, from the numbers in ``scene.xml``."""
+    """Update the contact pairs from the values in ``scene.xml``."""
     rules = read_rules()
     spec = rules.read_scene(HERE)
     text = rules.contacts_text(rules.read_geoms(spec)[0], rules.excluded_bodies(spec))
@@ -50,12 +50,12 @@ def write_contacts() -> None:
 
 
 def has_display() -> bool:
-    """Return true if a window can open here."""
+    """Return true if a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def main() -> None:
-    """Open the viewer, or print what was loaded where there is no display."""
+    """Open the viewer; without a display, print a summary."""
     if "--contacts" in sys.argv[1:]:
         write_contacts()
         return
@@ -65,7 +65,7 @@ def main() -> None:
 
         mujoco.viewer.launch(model, data)
     else:
-        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # without those of proxy geoms
+        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # without the bodies of proxy geoms
         print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints")
 
 

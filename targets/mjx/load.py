@@ -1,10 +1,10 @@
-"""Load this world into MJX: ``load()`` returns a model and data on JAX's device; ``python load.py`` says what is there.
+"""Load this world into MJX: ``load()`` returns a model and data on JAX's device; ``python load.py`` prints a summary.
 
     model, data = load()
     step = jax.jit(mjx.step)
     data = step(model, data)
 
-The first step compiles, on a CPU for minutes where many parts can touch.
+The first step compiles, which can take minutes on a CPU if many geoms can collide.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def load() -> tuple[mjx.Model, mjx.Data]:
 
 
 def main() -> None:
-    """Say what was loaded."""
+    """Load the world and print a summary."""
     model, _ = load()
     device = jax.devices()[0].platform
     print(

@@ -1,4 +1,4 @@
-"""The contacts of a MuJoCo model and their frictions, by MuJoCo's own rules for masks and priorities."""
+"""The contacts of a MuJoCo model and their frictions, computed by MuJoCo's rules for masks and priorities."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 PROXY = ":proxy"
-"""How the name of a proxy body or geom goes on after that of its link or collider."""
+"""The suffix that a proxy body or geom adds to the name of its link or collider."""
 
 
 class Resistance(NamedTuple):
-    """The resistance of a contact: friction, and resistance against spinning and rolling [m]."""
+    """The resistance of a contact: friction, and resistance to spinning and rolling [m]."""
 
     friction: float
     spinning: float
@@ -22,14 +22,14 @@ class Resistance(NamedTuple):
 
 
 Form = tuple[int, int, int, int, Resistance]
-"""Masks, priority, dimensions of contacts and friction of a geom."""
+"""Masks, priority, contact dimensions and friction of a geom."""
 
 AMBIGUOUS = Resistance(float("inf"), float("inf"), float("inf"))
-"""Of two colliders of which several geoms meet, as no two should."""
+"""The resistance of two colliders if several of their geoms meet, which is an error."""
 
 
 class Meetings:
-    """The geoms that touch, by body and collider; ``colliders`` gives each collider's geoms, its proxies too."""
+    """The geoms that collide, by body and collider; ``colliders`` lists each collider's geoms, including proxies."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -51,21 +51,21 @@ class Meetings:
         self._forms: list[Form] = [(*row, friction) for row, friction in zip(rows, frictions, strict=True)]
 
     def contact(self, a: list[int], b: list[int]) -> Resistance | None:
-        """Return the resistance between two colliders, by their geoms; None if they never meet."""
+        """Return the resistance between two colliders given by their geoms; None if they never meet."""
         found = [met for one in a for other in b if (met := self._meet(one, other)) is not None]
         return None if not found else found[0] if len(found) == 1 else AMBIGUOUS
 
     def surface(self, geom: int) -> Resistance:
-        """Return the resistance that a geom itself states."""
+        """Return the resistance stated by a geom itself."""
         return resistance(self._forms[geom][4], self._forms[geom][3])
 
     def touch(self, a: int, b: int) -> bool:
-        """Return true if any colliders of two bodies meet."""
+        """Return true if any colliders of two bodies collide."""
         ours, theirs = self.colliders.get(a, {}), self.colliders.get(b, {})
         return any(self.contact(one, other) is not None for one in ours.values() for other in theirs.values())
 
     def contacts(self) -> Iterator[tuple[str, str, Resistance]]:
-        """Every two named colliders of different bodies that meet, with what they resist each other with."""
+        """Yield all pairs of named colliders of different bodies that collide, with their resistance."""
         for a, b in combinations(sorted(self.colliders), 2):
             for one, ours in self.colliders[a].items():
                 for other, theirs in self.colliders[b].items():
@@ -88,7 +88,7 @@ class Meetings:
         return resistance(slide_a, dim_a) if priority_a > priority_b else resistance(slide_b, dim_b)
 
     def _apart(self, a: int, b: int) -> bool:
-        """Return true if two bodies never meet: excluded, welded to each other, or joined (the world joins none)."""
+        """Return true if two bodies never collide: excluded, welded, or connected by a joint (except to the world)."""
         a, b = min(a, b), max(a, b)
         one, two = self._weld[a], self._weld[b]
         joined = bool(one and two) and (one == self._above[b] or two == self._above[a])
@@ -96,6 +96,6 @@ class Meetings:
 
 
 def resistance(friction: Sequence[float], dimensions: int) -> Resistance:
-    """Return those of MuJoCo's three coefficients that count in contacts of so many dimensions."""
+    """Return the resistance from MuJoCo's three coefficients, limited to those that count for ``dimensions``."""
     sliding, spinning, rolling = friction
     return Resistance(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)

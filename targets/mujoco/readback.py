@@ -1,4 +1,4 @@
-"""MuJoCo, from the mjcf build through its own ``load.py``."""
+"""MuJoCo read-back of the mjcf build, loaded by its own ``load.py``."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The build in ``folder`` as its loader gives it."""
+    """Return a session for the build in ``folder``, from its loader."""
     return MujocoSession(*loader.load())
 
 
 class MujocoSession:
-    """A model and its data."""
+    """A MuJoCo model and its data."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
@@ -57,7 +57,7 @@ class MujocoSession:
 
     @property
     def timestep(self) -> float:
-        """Seconds a step, from the file."""
+        """Time step [s] from the file."""
         return float(self.model.opt.timestep)
 
     def step(self) -> None:
@@ -65,13 +65,13 @@ class MujocoSession:
         mujoco.mj_step(self.model, self.data)
 
     def moment(self, time: float) -> Moment:
-        """From kinematics: after a step MuJoCo's body poses are still those before it."""
+        """Return a sample after updating the kinematics; otherwise body poses are those before the last step."""
         mujoco.mj_kinematics(self.model, self.data)
         poses = {name: self._pose(k) for name, k in self._roots.items()}
         return Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
 
     def read(self) -> WorldReadback:
-        """Bodies, joints, pairs."""
+        """Return bodies, joints and pair frictions."""
         mujoco.mj_forward(self.model, self.data)
         links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
         return WorldReadback(
@@ -84,7 +84,7 @@ class MujocoSession:
         )
 
     def close(self) -> None:
-        """MuJoCo frees its memory with the objects."""
+        """Do nothing; MuJoCo frees its memory with the objects."""
 
     def _pose(self, body: int) -> tuple[float, ...]:
         return pose_numbers(Pose.of(self.data.xpos[body], self.data.xquat[body]))
@@ -93,7 +93,7 @@ class MujocoSession:
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
 
     def _held(self, body: int) -> str:
-        """A body in the world is welded to it or free; any other is held by the one above."""
+        """Return the parent of a body; a body in the world is either welded to it or free."""
         parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
         if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
             return FREE
@@ -118,7 +118,7 @@ class MujocoSession:
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         x, y, z = (2 * float(v) for v in model.geom_size[geom])
-        if kind == "mesh":  # MuJoCo moves a mesh into its inertial frame, and the geom the other way
+        if kind == "mesh":  # MuJoCo moves a mesh to its inertial frame, and the geom inversely
             mesh = model.geom_dataid[geom]
             start = model.mesh_vertadr[mesh]
             bounds = mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
@@ -150,7 +150,7 @@ class MujocoSession:
         )
 
     def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:
-        """The joint that an equality makes it follow, with multiplier and offset."""
+        """Return the leader in a joint's equality constraint, with multiplier and offset."""
         model = self.model
         for k in range(model.neq):
             if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[k] == joint and model.eq_obj2id[k] >= 0:
@@ -159,7 +159,7 @@ class MujocoSession:
         return "", ()
 
     def _drive(self, joint: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Stiffness, damping and target of the actuator in a joint, and its greatest force."""
+        """Return stiffness, damping and target of a joint's actuator, and its maximum force."""
         model = self.model
         for k in range(model.nu):
             if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[k][0] == joint:
@@ -170,7 +170,7 @@ class MujocoSession:
         return (), ()
 
     def _silent(self) -> tuple[str, ...]:
-        """Pairs of bodies that MuJoCo never tests, or whose geoms it never lets touch, by its own rules."""
+        """Return the pairs of bodies whose collisions MuJoCo never tests, or whose geoms never collide by its rules."""
         bodies = [body for body in self._bodies.values() if self._meetings.colliders.get(body)]
         apart = [(a, b) for a, b in combinations(bodies, 2) if not self._meetings.touch(a, b)]
         return tuple(pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
@@ -179,9 +179,9 @@ class MujocoSession:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
 
     def _contacts(self, links: Mapping[str, LinkReadback]) -> tuple[dict[str, LinkReadback], dict[str, float]]:
-        """The links, and the friction of every two colliders that meet, unless both have it themselves.
+        """Return the links, and the friction of each colliding pair unless both colliders already have that value.
 
-        A collider of a link resists spinning and rolling as its contacts do, whatever it says.
+        The spinning and rolling resistance of a collider is that of its contacts, whatever the collider itself states.
         """
         own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
         pairs, odd = {}, dict[str, ColliderReadback]()

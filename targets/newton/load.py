@@ -4,8 +4,8 @@
     solver = newton.solvers.SolverMuJoCo(model)
     state, control = model.state(), model.control()
 
-The MJCF says which friction each pair of surfaces has, which USD has no words for. Newton's importer passes over the
-keyframe and the direction of gravity: both are set here. The controls hold the robots where they are.
+The MJCF states the friction of each pair of surfaces, which USD cannot express. Newton's importer ignores the keyframe
+and the direction of gravity, so this loader sets both. The controls hold the robots in place.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 
 SCENE = Path(__file__).resolve().parent / "scene.xml"
 TIMESTEP = 1 / 500
-"""Seconds a step."""
+"""Time step [s]."""
 
 
 def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
-    """Return the model on a device of Warp, in the state of the keyframe."""
+    """Return the model on a Warp device, in the state of the keyframe."""
     root = ET.parse(scene).getroot()
     builder = newton.ModelBuilder()
     builder.add_mjcf(str(scene))
@@ -30,41 +30,41 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
     model = builder.finalize(device=device)
     model.set_gravity(tuple(floats(root.find("option"), "gravity")))
     controls = floats(root.find("keyframe/key"), "ctrl")
-    if controls:  # what the model has, each of its control() begins with
+    if controls:  # each control() of the model starts with its values
         model.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
     return model
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
-    """Write MuJoCo's positions into Newton's, which keeps the order of the joints but turns quaternions to xyzw."""
+    """Convert MuJoCo's positions to Newton's, which have the same joint order but xyzw quaternions."""
     ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
     q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
     for kind, child, start, end in zip(
         builder.joint_type, builder.joint_child, builder.joint_q_start, ends, strict=True
     ):
-        if child in carried:  # a loop that MuJoCo closes by an equality is a second joint of the same body here
+        if child in carried:  # a loop closed by an equality in MuJoCo is a second joint of the body
             continue
         carried.add(child)
         count = end - start
         if at + count > len(qpos):
-            raise ValueError(f"the keyframe has {len(qpos)} positions and the model more")
+            raise ValueError(f"the keyframe has {len(qpos)} positions, fewer than the model")
         values = np.array(qpos[at : at + count])
         if kind in (newton.JointType.FREE, newton.JointType.BALL):
             values[-4:] = values[[-3, -2, -1, -4]]
         q[start:end] = values
         at += count
     if at != len(qpos):
-        raise ValueError(f"the keyframe has {len(qpos)} positions and the model {at}")
+        raise ValueError(f"the keyframe has {len(qpos)} positions, but the model has {at}")
     builder.joint_q = q.tolist()
 
 
 def floats(element: ET.Element | None, attribute: str) -> list[float]:
-    """Return the numbers of an attribute; none where there is no such element or attribute."""
+    """Return the numbers in an attribute; empty if the element or attribute does not exist."""
     return [] if element is None else [float(v) for v in element.get(attribute, "").split()]
 
 
 def main() -> None:
-    """Say what was loaded, and that it steps."""
+    """Load the world, take one step, and print a summary."""
     model = load()
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
     state, following, control = model.state(), model.state(), model.control()

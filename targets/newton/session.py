@@ -1,4 +1,4 @@
-"""A Newton model, however it was made, and how it is read and stepped."""
+"""A session for any Newton model: reading and stepping."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from simfoundry.verify.readback import (
 )
 
 NO_LIMIT = 1e9
-"""Newton writes limits beyond this for joints that have none."""
+"""Newton's importers write limits beyond this value for joints without limits."""
 
 _Joint, _Geo = newton.JointType, newton.GeoType
 _TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
@@ -39,12 +39,12 @@ _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): 
 
 @dataclass(frozen=True)
 class Names:
-    """The mapping from the labels of an importer to the links, colliders and joints of the scene.
+    """The mapping from an importer's labels to the links, colliders and joints of the scene.
 
-    ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
-    the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
-    joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
-    as are resistances that count only in contacts of more dimensions.
+    ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints that
+    the importer adds. ``static`` has the poses of links that Newton merged into the world. ``own_damping`` is the
+    damping of each joint without that of its motor; None if motor damping is stored in MuJoCo's custom attributes, as
+    are resistances that count only in contacts of higher dimension.
     """
 
     link: Callable[[str], str]
@@ -55,14 +55,16 @@ class Names:
 
 
 class NewtonSession:
-    """A model on the CPU, stepped by Newton's MuJoCo solver, which is the one of its solvers for articulated scenes."""
+    """A model on the CPU with Newton's MuJoCo solver, the only one of its solvers for articulated scenes."""
 
     timestep = TIMESTEP
 
     def __init__(self, model: newton.Model, names: Names) -> None:
         self.model, self.names = model, names
         bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
-        self._bodies = {name: k for name, k in bodies.items() if ":" not in name}  # others are parts of links
+        self._bodies = {
+            name: k for name, k in bodies.items() if ":" not in name
+        }  # names with a colon are parts of links
         self._kinds = [int(k) for k in _array(model.joint_type)]
         labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
         self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
@@ -74,7 +76,7 @@ class NewtonSession:
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:
-        """One step; contacts are MuJoCo's own, as everywhere with this solver."""
+        """Advance by one step; contacts are MuJoCo's own, as always with this solver."""
         if self._solver is None:
             self._solver = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True, enable_multiccd=True)
         self._state.clear_forces()
@@ -82,13 +84,13 @@ class NewtonSession:
         self._state, self._next = self._next, self._state
 
     def moment(self, time: float) -> Moment:
-        """Poses of the roots from the bodies, positions of the joints from the generalised ones."""
+        """Return the root poses from the bodies, and the joint positions from the generalized coordinates."""
         q = _array(self._state.joint_q)
         poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
         return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
 
     def read(self) -> WorldReadback:
-        """Bodies, static links and joints."""
+        """Return bodies, static links and joints."""
         model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
         mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
@@ -105,10 +107,10 @@ class NewtonSession:
         return WorldReadback(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
 
     def close(self) -> None:
-        """Newton frees its arrays with the objects."""
+        """Do nothing; Newton frees its arrays with the objects."""
 
     def _held(self) -> dict[int, str]:
-        """Return the parent that the first joint above each body connects it to; any other joint closes a loop."""
+        """Return the parent in the first joint above each body; any other joint closes a loop."""
         names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
@@ -118,7 +120,7 @@ class NewtonSession:
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """Pairs of bodies of whose shapes Newton filters every pair; shapes of the world have no body to name."""
+        """Return the pairs of bodies whose shapes are all filtered; shapes of the world have no body."""
         names = {k: name for name, k in self._bodies.items()}
         owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
         links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
@@ -170,7 +172,7 @@ class NewtonSession:
         return shape_bounds(kind, size, X_LG)
 
     def _joint(self, name: str, joint: int) -> JointReadback:
-        """Damping comes as a passive one from MJCF and as a drive's from USD, which has one for both."""
+        """Return the values of a joint; MJCF damping is passive, whereas USD has one damping for joint and drive."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
@@ -196,12 +198,12 @@ class NewtonSession:
 
 
 def quiet() -> None:
-    """Warp tells of every kernel that it loads."""
+    """Silence Warp, which reports every kernel that it loads."""
     wp.config.quiet = True
 
 
 def _array(values: wp.array | None) -> np.ndarray:
-    """The values; none where the model has no bodies or joints, for which Newton keeps no array."""
+    """Return the values as an array; empty if the model has no bodies or joints, for which Newton stores None."""
     return np.zeros(0) if values is None else np.asarray(values.numpy())
 
 

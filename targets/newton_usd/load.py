@@ -3,7 +3,7 @@
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
 
-The stage has the importers of USD: ``pip install newton[importers]``.
+The USD importers are an optional dependency: ``pip install newton[importers]``.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 SCENE = Path(__file__).resolve().parent / "scene.usda"
 TIMESTEP = 1 / 500
-"""Seconds a step."""
+"""Time step [s]."""
 
 
 def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
-    """Return the model on a device of Warp."""
+    """Return the model on a Warp device."""
     stage = open_stage(scene)
     builder = newton.ModelBuilder()
-    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # else the importer passes over friction of joints
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # otherwise the importer ignores joint friction
     builder.add_usd(stage)
     turn_balls(builder, stage)
     return builder.finalize(device=device)
 
 
 def open_stage(scene: Path = SCENE) -> Usd.Stage:
-    """Open the stage, in its session layer with the surfaces' own coefficients.
+    """Open the stage, with the surfaces' own coefficients in its session layer.
 
-    Newton knows no square roots under PhysX.
+    Newton does not support the square roots written for PhysX.
     """
     stage = Usd.Stage.Open(str(scene))
     with Usd.EditContext(stage, stage.GetSessionLayer()):
@@ -45,7 +45,7 @@ def open_stage(scene: Path = SCENE) -> Usd.Stage:
 
 
 def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
-    """Set the rotation of each ball joint, which the importer leaves at zero, from the poses of its two bodies."""
+    """Set the rotation of each ball joint from the poses of its two bodies, because the importer leaves it at zero."""
     cache = UsdGeom.XformCache()
     for joint, label in enumerate(builder.joint_label):
         if builder.joint_type[joint] != newton.JointType.BALL:
@@ -61,14 +61,14 @@ def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
 
 
 def _turned(own: Usd.Attribute, body: Usd.Relationship, stage: Usd.Stage, cache: UsdGeom.XformCache) -> Gf.Quatd:
-    """Rotation in the world of the frame that a joint has in one of its bodies."""
+    """Return the world rotation of a joint's frame in one of its bodies."""
     path = body.GetTargets()
     world = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(path[0])) if path else Gf.Matrix4d(1.0)
     return world.RemoveScaleShear().ExtractRotationQuat() * Gf.Quatd(own.Get())
 
 
 def main() -> None:
-    """Say what was loaded, and that it steps."""
+    """Load the world, take one step, and print a summary."""
     model = load()
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
     state, following, control = model.state(), model.state(), model.control()

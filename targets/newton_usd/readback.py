@@ -1,4 +1,4 @@
-"""Newton, from the usd build through the loader of the target `newton_usd`."""
+"""Newton read-back of the usd build, loaded by the target `newton_usd`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from simfoundry.verify.readback import Session
 
 _newton = import_file(Path(__file__).parents[1] / "newton" / "session.py")
 _usd = import_file(Path(__file__).parents[1] / "usd" / "readback.py")
-"""The session of the other way into Newton, and the names that the stage gives to links and joints."""
+"""The session of the `newton` target, with the stage's names of links and joints."""
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The model of the stage; the surfaces have their own coefficients, because Newton knows no combine mode."""
+    """Return a session with the surfaces' own coefficients, because Newton does not support combine modes."""
     _newton.quiet()
     session: Session = _newton.NewtonSession(loader.load(), _names(loader.open_stage()))
     return session
@@ -39,7 +39,7 @@ def _names(stage: Usd.Stage) -> Any:
         return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
 
     def link(path: str) -> str:
-        return str(names.get(path, path))  # a robot that is a file of its own has names of its own
+        return str(names.get(path, path))  # a robot in its own file has its own names
 
     found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(_usd.OWN_DAMPING)}
     own = {found[path] or "": _usd.own_damping(stage.GetPrimAtPath(path)) for path in found}

@@ -13,25 +13,25 @@ import pybullet
 
 HERE = Path(__file__).resolve().parent
 FLAGS = (
-    pybullet.URDF_USE_INERTIA_FROM_FILE  # else Bullet recomputes it from the collision shapes
-    | pybullet.URDF_USE_IMPLICIT_CYLINDER  # else a cylinder becomes a polyhedron
+    pybullet.URDF_USE_INERTIA_FROM_FILE  # otherwise Bullet computes it from the collision shapes
+    | pybullet.URDF_USE_IMPLICIT_CYLINDER  # otherwise a cylinder becomes a polyhedron
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
-FAR = 1e9  # a force out of reach [N or N m]
-GAIN = 0.1  # Bullet's own: share of its error that a motor makes good in a step
+FAR = 1e9  # practically unlimited force [N or N m]
+GAIN = 0.1  # Bullet's default: fraction of its error that a motor corrects per step
 GEAR_ERP = (
-    0.8  # share of the error between two geared joints that is mended in a step; at 0.2 fingers yield by 2 degrees
+    0.8  # fraction of the error between geared joints that is corrected per step; at 0.2 fingers yield by 2 degrees
 )
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load every object and robot; without a client, into the open default connection or a new one without a window."""
+    """Load all objects and robots, into ``client``, the open default connection, or a new one without a window."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
-    if "solver_iterations" in world:  # else Bullet's own, 50: what a gripper holds would creep
+    if "solver_iterations" in world:  # with Bullet's default of 50, grasped objects creep
         pybullet.setPhysicsEngineParameter(numSolverIterations=world["solver_iterations"], physicsClientId=client)
     if "background" in world:
         flags = pybullet.URDF_IGNORE_COLLISION_SHAPES
@@ -45,7 +45,7 @@ def load(client: int | None = None) -> dict[str, int]:
 
 
 def picture(client: int, camera: str) -> tuple[Any, ...]:
-    """What a camera of the scene sees under its lights, as ``getCameraImage`` returns it: width, height, rgba, ..."""
+    """Render a camera with the scene's lights; return the result of ``getCameraImage``: width, height, rgba, ..."""
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     view = world["cameras"][camera]
     size, matrices = (view["width"], view["height"]), (view["view"], view["projection"])
@@ -56,7 +56,7 @@ def picture(client: int, camera: str) -> tuple[Any, ...]:
 
 
 def load_object(client: int, item: dict[str, Any]) -> int:
-    """Load one object of ``world.json`` in its pose, with its materials and joint positions."""
+    """Load one object of ``world.json`` at its pose, with its materials and joint positions."""
     flags = FLAGS | (pybullet.URDF_USE_SELF_COLLISION if item.get("self_collision") else 0)
     body: int = pybullet.loadURDF(
         str(HERE / item["urdf"]), useFixedBase=item["fixed"], flags=flags, physicsClientId=client
@@ -82,8 +82,8 @@ def load_object(client: int, item: dict[str, Any]) -> int:
 
 
 def load_robot(client: int, item: dict[str, Any]) -> int:
-    """Load one robot of ``world.json``: at its place, its motors holding its joints, its fingers moving together."""
-    # Kept in the order of the file, links that come before their parents have no pose: Bullet is to sort them.
+    """Load one robot of ``world.json`` at its pose, with motors that hold its joints and coupled fingers."""
+    # In file order, links that precede their parents would have no pose, so Bullet must sort them.
     flags = FLAGS & ~pybullet.URDF_MAINTAIN_LINK_ORDER
     body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=flags, physicsClientId=client)
     place(client, body, item["p"], item["q_wxyz"])
@@ -97,7 +97,7 @@ def load_robot(client: int, item: dict[str, Any]) -> int:
         pybullet.resetJointState(body, index, position, 0.0, physicsClientId=client)
         if joint in item["motors"]:
             hold(client, body, index, item["motors"][joint])
-        else:  # free but for what it follows: away with Bullet's own motor
+        else:  # driven only by its leader: disable Bullet's default motor
             pybullet.setJointMotorControl2(
                 body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=0, physicsClientId=client
             )
@@ -107,7 +107,7 @@ def load_robot(client: int, item: dict[str, Any]) -> int:
 
 
 def hold(client: int, body: int, index: int, motor: dict[str, float], target: float | None = None) -> None:
-    """Let a motor bring a joint to its target, or to another, with at most its force, and hold it there."""
+    """Move a joint to the motor's target, or to ``target``, with at most its maximum force, and hold it there."""
     pybullet.setJointMotorControl2(
         body,
         index,
@@ -120,39 +120,39 @@ def hold(client: int, body: int, index: int, motor: dict[str, float], target: fl
 
 
 def press(client: int, body: int, index: int, motor: dict[str, float], target: float) -> None:
-    """Before a step, let a motor with a stiffness push no harder than its spring would at its error now.
+    """Limit a motor with a stiffness to the force of its spring at the current error; call this before every step.
 
-    Without it a gripper closes with all the force of its motor, however little it is told to squeeze.
+    Otherwise a gripper closes with the full force of its motor, however small the commanded error.
     """
     error = abs(target - pybullet.getJointState(body, index, physicsClientId=client)[0])
     hold(client, body, index, {**motor, "force": min(motor["force"], motor["stiffness"] * error)}, target)
 
 
 def joint_index(client: int, body: int, joint: str) -> int:
-    """Bullet's index of a joint by name, which is also that of the link below it."""
+    """Return Bullet's index of a joint by name, which is also the index of its child link."""
     names = [pybullet.getJointInfo(body, k, physicsClientId=client)[1].decode() for k in range(joints(client, body))]
     return names.index(joint)
 
 
 def link_index(client: int, body: int, link: str) -> int:
-    """Bullet's index of a link by name; the base is -1."""
+    """Return Bullet's index of a link by name; the base is -1."""
     names = [pybullet.getJointInfo(body, k, physicsClientId=client)[12].decode() for k in range(joints(client, body))]
     return names.index(link) if link in names else -1
 
 
 def joints(client: int, body: int) -> int:
-    """How many joints a body has."""
+    """Return the number of joints of a body."""
     count: int = pybullet.getNumJoints(body, physicsClientId=client)
     return count
 
 
 def silence(client: int, body_a: int, link_a: int, body_b: int, link_b: int) -> None:
-    """Let two links pass through each other."""
+    """Disable collisions between two links."""
     pybullet.setCollisionFilterPair(body_a, body_b, link_a, link_b, enableCollision=0, physicsClientId=client)
 
 
 def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
-    """Put the link frame of the base at a world pose. Bullet's own pose of a base is that of its inertial frame."""
+    """Set the world pose of the base's link frame. Bullet's own base pose is that of the inertial frame."""
     inertial = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3:5]
     w, x, y, z = q_wxyz
     pose = pybullet.multiplyTransforms(p, [x, y, z, w], *inertial)
@@ -161,7 +161,7 @@ def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
 
 
 def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> None:
-    """Set what contacts of a link feel, and take away the drag of the air that Bullet adds."""
+    """Set the contact properties of a link, and disable the air drag that Bullet adds."""
     pybullet.changeDynamics(
         body,
         index,
@@ -176,7 +176,7 @@ def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> N
 
 
 def set_joint(client: int, body: int, index: int, item: dict[str, Any], joint: str) -> None:
-    """Set position and damping of a joint; the motor that Bullet puts in every joint becomes its Coulomb friction."""
+    """Set position and damping of a joint; Bullet's default motor in each joint models its Coulomb friction."""
     pybullet.changeDynamics(body, index, jointDamping=item["joint_damping"][joint], physicsClientId=client)
     pybullet.resetJointState(body, index, item["joints"][joint], 0.0, physicsClientId=client)
     pybullet.setJointMotorControl2(
@@ -207,7 +207,7 @@ def set_ball(client: int, body: int, index: int, item: dict[str, Any], joint: st
 
 
 def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, Any]) -> None:
-    """Let one joint follow another, through gears without play."""
+    """Couple a joint to another by a gear constraint without backlash."""
     gear = pybullet.createConstraint(
         body, follower, body, leader, pybullet.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0], physicsClientId=client
     )
@@ -222,7 +222,7 @@ def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, 
 
 
 def set_drive(client: int, body: int, index: int, drive: dict[str, float], target: float | None = None) -> None:
-    """Let a motor pull a joint to its target, or to another, like a spring with a damper, up to its force limit."""
+    """Pull a joint to the drive's target, or to ``target``, like a spring and damper, up to its force limit."""
     pybullet.setJointMotorControl2(
         body,
         index,
@@ -237,12 +237,12 @@ def set_drive(client: int, body: int, index: int, drive: dict[str, float], targe
 
 
 def has_display() -> bool:
-    """Whether a window can open here."""
+    """Return true if a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def main() -> None:
-    """Open the viewer, or say what was loaded where there is no display."""
+    """Open the viewer; without a display, print a summary."""
     client = pybullet.connect(pybullet.GUI if has_display() else pybullet.DIRECT)
     bodies = load(client)
     if not has_display():

@@ -1,4 +1,4 @@
-"""PyBullet, from the pybullet build through its own ``load.py``."""
+"""PyBullet read-back of the pybullet build, loaded by its own ``load.py``."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from simfoundry.verify.readback import (
 )
 
 BASE = -1
-"""PyBullet's index of a body's root link; any other link has the index of the joint above it."""
+"""PyBullet's index of the root link; any other link has the index of its parent joint."""
 
 _NUDGE = 0.005
-"""How far joints are moved [rad or m] to feel their motors."""
+"""Displacement of joints to detect their motors [rad or m]."""
 
 _TYPES = {pybullet.JOINT_PRISMATIC: "prismatic", pybullet.JOINT_REVOLUTE: "revolute",
           pybullet.JOINT_SPHERICAL: "ball"}  # fmt: skip
@@ -40,7 +40,7 @@ _KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEO
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The build in ``folder`` as its loader gives it."""
+    """Return a session for the build in ``folder``, from its loader."""
     client = pybullet.connect(pybullet.DIRECT)
     bodies = loader.load(client)
     world = json.loads((folder / "world.json").read_text(encoding="utf-8"))
@@ -48,7 +48,7 @@ def open_build(folder: Path, loader: ModuleType) -> Session:
 
 
 class PybulletSession:
-    """A client and its bodies by the names of the objects; ``robots`` are those that are no objects."""
+    """A client and its bodies by object name; ``robots`` are the bodies that are not objects."""
 
     def __init__(self, client: int, bodies: dict[str, int], gravity: tuple[float, ...], robots: list[str]) -> None:
         self.client, self.bodies = client, bodies
@@ -57,7 +57,7 @@ class PybulletSession:
         self._joints: dict[str, tuple[int, int]] = {}
         for name, body in bodies.items():
             self._links[name] = (body, BASE)
-            owner = name.partition(".")[0]  # a part that moves freely is a body of its own, as `pot.lid`
+            owner = name.partition(".")[0]  # a freely moving part is a separate body, such as `pot.lid`
             for index in range(self._call("getNumJoints", body)):
                 info = self._call("getJointInfo", body, index)
                 self._links[f"{owner}.{info[12].decode()}"] = (body, index)
@@ -69,7 +69,7 @@ class PybulletSession:
 
     @property
     def timestep(self) -> float:
-        """Seconds a step, from the build."""
+        """Time step [s] of the build."""
         return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
 
     def step(self) -> None:
@@ -77,14 +77,14 @@ class PybulletSession:
         self._call("stepSimulation")
 
     def moment(self, time: float) -> Moment:
-        """Poses of the bases and positions of the joints."""
+        """Return the base poses and the joint positions."""
         poses = {name: pose_numbers(self._pose(body, BASE)) for name, body in self.bodies.items()}
         single = {name: at for name, at in self._joints.items() if self._call("getJointInfo", *at)[3] >= 0}
         joints = {name: float(self._call("getJointState", *at)[0]) for name, at in single.items()}
         return Moment(time, poses, joints)
 
     def read(self) -> WorldReadback:
-        """Links and joints. Of the gravity PyBullet tells nothing; it is that of ``world.json``."""
+        """Return links and joints. PyBullet does not report gravity, so it is taken from ``world.json``."""
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
         return WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
@@ -94,7 +94,7 @@ class PybulletSession:
         pybullet.disconnect(self.client)
 
     def _motors(self) -> Iterator[str]:
-        """The joints of robots that pull back when they are moved: Bullet tells of no motor in any other way."""
+        """Yield the robot joints that return when displaced, because Bullet reports motors in no other way."""
         state = self._call("saveState")
         driven = {n: at for n, at in self._joints.items() if n.partition(".")[0] in self._robots}
         for body, index in driven.values():
@@ -106,7 +106,7 @@ class PybulletSession:
         self._call("removeState", state)
 
     def _held(self, body: int, index: int) -> str:
-        """Bullet calls a base without mass static."""
+        """Return the parent of a link; Bullet gives a static base no mass."""
         if index == BASE:
             return FREE if self._call("getDynamicsInfo", body, BASE)[0] else WORLD
         parent = int(self._call("getJointInfo", body, index)[16])
@@ -117,7 +117,7 @@ class PybulletSession:
         return Pose.of(p, from_xyzw(q))
 
     def _pose(self, body: int, index: int) -> Pose:
-        # Bullet keeps link frames in single precision; inertial frames, in double, lead to the same place.
+        # Bullet stores link frames in single precision; inertial frames, in double precision, give the same pose.
         if index == BASE:
             p, q = self._call("getBasePositionAndOrientation", body)
         else:
@@ -125,7 +125,7 @@ class PybulletSession:
         return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
 
     def _link(self, body: int, index: int) -> LinkReadback:
-        """A root that is welded to the world has no mass in Bullet."""
+        """Return the values of a link; a root welded to the world has no mass in Bullet."""
         info = self._call("getDynamicsInfo", body, index)
         mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
         X_LI = self._inertial(body, index)
@@ -147,7 +147,7 @@ class PybulletSession:
         X_LG = X_LI @ Pose.of(shape[5], from_xyzw(shape[6]))
         x, y, z = shape[3]
         if kind == "mesh":
-            # Bullet tells the vertices of one shape of a link, whichever is asked for, in the inertial frame.
+            # Bullet returns the vertices of only one shape per link, for any requested shape, in the inertial frame.
             vertices = self._call("getMeshData", shape[0], shape[1])[1] if count == 1 and index == 0 else ()
             bounds = mesh_bounds(np.array(vertices), X_LI) if vertices else None
         else:
@@ -168,5 +168,5 @@ class PybulletSession:
         )
 
     def _turned(self, body: int, index: int) -> tuple[float, ...]:
-        """The quaternion of a ball joint, which Bullet gives with w last."""
+        """Return the quaternion of a ball joint, which Bullet gives with w last."""
         return numbers(from_xyzw(self._call("getJointStateMultiDof", body, index)[0]))

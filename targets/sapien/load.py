@@ -1,11 +1,11 @@
-"""Load this world into SAPIEN: ``load()`` returns a scene and what stands in it by object name.
+"""Load this world into SAPIEN: ``load()`` returns a scene and its objects by name.
 
     scene, objects = load()
     scene.step()
 
-An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature, motors
-and joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a
-pair. A motor goes where ``joint.set_drive_target`` says; it starts at the target of the scene.
+An object with joints is a ``PhysxArticulation``, any other object an ``Entity``. Contact materials, gravity, armature,
+motors and joint friction come from ``physics.json``, because URDF cannot represent them. PhysX averages the frictions
+of a pair. A motor starts at the target of the scene; change it with ``joint.set_drive_target``.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from sapien import physx
 HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
-"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
+"""Damping [N s/m or N m s/rad] of the drive that models Coulomb friction, limited to the friction force."""
 
 FAR = 3.4e38
-"""No limit of the force of a motor [N or N m]: the largest that PhysX can write."""
+"""The force limit of an unlimited motor [N or N m]: the largest value that PhysX accepts."""
 
 TENDON = 1e5
-"""Stiffness of the tendon that lets a joint follow another [N/m or N m/rad]."""
+"""Stiffness of the tendon that couples a joint to its leader [N/m or N m/rad]."""
 
 FIRST, EVERY = 1, 0xFFFFFFFF
-"""The kind of most collision shapes, and all kinds."""
+"""The collision category of most shapes, and the mask of all categories."""
 
 SOFT = 1e3
-"""That of a tendon to a joint which hangs on a tendon itself: stiffer, the two shake each other."""
+"""Tendon stiffness for a joint whose leader is itself on a tendon; with higher stiffness, the two oscillate."""
 
 
 class Law(NamedTuple):
@@ -56,7 +56,7 @@ Link: TypeAlias = tuple[str, str]
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
     """Load every object into ``scene``, by default a new one on the CPU.
 
-    ``visuals`` needs a device that renders: without one SAPIEN's reader of URDF dies on them.
+    ``visuals`` requires a render device; without one, SAPIEN's URDF reader crashes.
     """
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     if scene is None:
@@ -75,7 +75,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
 
 
 def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
-    """Let links of different objects pass through each other, each named with its object."""
+    """Disable collisions between links of different objects; each link is given with its object."""
     found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
     for (name, link), (kind, met) in found.items():
         for shape in link_of(world[name], link).collision_shapes:
@@ -84,10 +84,10 @@ def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
 
 
 def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
-    """For each link its kind and the kinds that it meets, such that the two of a pair do not: of two, one must meet.
+    """Return a category and a mask for each link, such that excluded pairs do not match; one match suffices to collide.
 
-    Links that pass through the same others are of one kind; everything else is of the first. PhysX has 32 kinds: links
-    for which none is left pass through nothing.
+    Links with the same excluded links share a category; all other links have the first one. PhysX has 32 categories;
+    links beyond that number keep all of their collisions.
     """
     passed: dict[Link, set[Link]] = {}
     for a, b in pairs:
@@ -95,7 +95,7 @@ def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
         passed.setdefault(b, set()).add(a)
     groups = sorted({tuple(sorted(others)) for others in passed.values()})
     if (left := len(groups) - 31) > 0:
-        print(f"PhysX cannot tell apart {len(groups)} kinds of links that pass through others: {left} do not")
+        print(f"PhysX has too few categories for {len(groups)} groups of excluded links; {left} still collide")
     bits = {group: 1 << k for k, group in enumerate(groups[:31], start=1)}
     own = {link: bits.get(tuple(sorted(others)), FIRST) for link, others in passed.items()}
     found = {}
@@ -106,23 +106,24 @@ def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
 
 
 def link_of(thing: Loaded, name: str) -> physx.PhysxRigidBaseComponent:
-    """A link of an object by name; one without joints has only one."""
+    """Return a link of an object by name; an object without joints has only one link."""
     if isinstance(thing, physx.PhysxArticulation):
         return thing.find_link_by_name(name)
     return component_of(thing)
 
 
 def drive_robot(robot: physx.PhysxArticulation, said: dict[str, Any]) -> None:
-    """Give a robot with a URDF of its own the motors and the followers that the file lacks."""
+    """Set the motors and mimic joints of a robot with its own URDF that its file does not state."""
     for name, drive in said["motors"].items():
         set_drive(robot.find_joint_by_name(name), drive)
     follow(robot, {name: Law(law["joint"], law["multiplier"], law["offset"]) for name, law in said["follow"].items()})
 
 
 def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
-    """A copy of a URDF in ``folder``, its meshes named by full paths, as SAPIEN can read it.
+    """Copy a URDF to ``folder`` in a form that SAPIEN can read, with full paths to its meshes.
 
-    Without ``visuals`` it has none; a single link that is fixed has no inertial, which SAPIEN refuses of a static body.
+    Visuals are omitted unless ``visuals`` is set. A single fixed link has no inertial element, because SAPIEN does not
+    accept one for a static body.
     """
     tree = ET.parse(urdf)
     root = tree.getroot()
@@ -139,9 +140,10 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
 def load_object(
     scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any] | None, group: int
 ) -> Loaded:
-    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other.
+    """Load one object at its pose, with its materials, joint positions and collision filters.
 
-    A robot with a URDF of its own has no ``physics``: it keeps SAPIEN's surfaces, and its links pass each other.
+    A robot with its own URDF has no ``physics``; it keeps SAPIEN's default surfaces, and its links do not collide with
+    each other.
     """
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
@@ -157,7 +159,7 @@ def load_object(
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"], build_mimic_joints=False)
-    if physics is not None:  # who follows whom in a robot of its own is told apart, with what its URDF lacks
+    if physics is not None:  # mimic joints of a robot with its own URDF are set elsewhere
         records = articulations[0].mimic_joint_records
         follow(articulation, {m.joint: Law(m.mimic, m.multiplier, m.offset) for m in records})
     names = {link.name for link in articulation.links}
@@ -175,15 +177,15 @@ def load_object(
 
 
 def follow(articulation: physx.PhysxArticulation, laws: dict[str, Law]) -> None:
-    """Let joints follow others; one that cannot is left free, which is said."""
+    """Couple mimic joints to their leaders; print a message for each joint that cannot be coupled."""
     for name, law in laws.items():
         direct, *around = ways(name, laws)
         if not (tie(articulation, name, direct, TENDON) or any(tie(articulation, name, way, SOFT) for way in around)):
-            print(f"{articulation.root.name}: PhysX cannot let {name} follow {law.leader}: it moves freely")
+            print(f"{articulation.root.name}: PhysX cannot couple {name} to {law.leader}; {name} moves freely")
 
 
 def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
-    """The law of a joint, and the same said of the other joints that have its leader."""
+    """Yield the law of a joint, and equivalent laws relative to other joints with the same leader."""
     own = laws[name]
     yield own
     for other, law in laws.items():
@@ -193,9 +195,10 @@ def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
 
 
 def tie(articulation: physx.PhysxArticulation, name: str, law: Law, stiffness: float) -> bool:
-    """Let a joint follow another, by a stiff tendon, as SAPIEN's reader does; but it turns the ratio of siblings round.
+    """Couple a joint to another by a stiff tendon; return False if PhysX cannot.
 
-    PhysX can tie a joint to the one above it or to one beside it; False for any other.
+    PhysX can couple a joint only to its parent joint or to a sibling. SAPIEN's reader does the same, but inverts the
+    ratio of siblings.
     """
     joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(law.leader)
     above, beside = joint.parent_link == other.child_link, joint.parent_link == other.parent_link
@@ -219,14 +222,14 @@ def tie(articulation: physx.PhysxArticulation, name: str, law: Law, stiffness: f
 
 
 def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
-    """The physical part of an entity."""
+    """Return the rigid body component of an entity."""
     return next(c for c in entity.components if isinstance(c, physx.PhysxRigidBaseComponent))
 
 
 def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
-    """For each link a mask, such that two share a bit if they do not touch: PhysX has 32 for a scene, we for an object.
+    """Return a mask for each link such that two links share a bit if they do not collide; PhysX has 32 bits.
 
-    Each bit stands for links of which no two touch, as many as can be found.
+    Each bit represents a maximal set of links of which no two collide.
     """
     masks, left, bit = dict.fromkeys(links, 0), set(silent), 0
     while left:
@@ -235,7 +238,7 @@ def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
         quiet += [a for a in sorted(links - first) if all(frozenset((a, b)) in silent for b in quiet)]
         quiet = [a for k, a in enumerate(quiet) if all(frozenset((a, b)) in silent for b in quiet[:k])]
         if bit == 32:
-            raise RuntimeError("PhysX cannot tell so many links apart that do not touch each other")
+            raise RuntimeError("PhysX has too few mask bits for the excluded pairs of links in this object")
         for link in quiet:
             masks[link] |= 1 << bit
         left -= {frozenset((a, b)) for a in quiet for b in quiet if a != b}
@@ -244,28 +247,28 @@ def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
 
 
 def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]]) -> None:
-    """Give each collision shape its material."""
-    if hasattr(link, "angular_damping"):  # PhysX drags by itself
+    """Set the material of each collision shape."""
+    if hasattr(link, "angular_damping"):  # PhysX adds angular damping by default
         link.linear_damping = link.angular_damping = 0.0
     shapes = link.collision_shapes
     if len(shapes) != len(surfaces):
-        raise RuntimeError(f"{link.name}: PhysX took {len(shapes)} of {len(surfaces)} collision shapes")
+        raise RuntimeError(f"{link.name}: PhysX loaded only {len(shapes)} of {len(surfaces)} collision shapes")
     for shape, surface in zip(shapes, surfaces.values(), strict=True):
         mu = surface["friction"]
         shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
 
 
 def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> None:
-    """Silence each collision shape, by its mask, within the group of its object."""
+    """Set the mask of each collision shape within the group of its object."""
     for shape in link.collision_shapes:
         first, second, ignored, _ = shape.collision_groups
         shape.set_collision_groups([first, second, ignored | mask, group])
 
 
 def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> None:
-    """Armature and motor; or Coulomb friction, as a drive that holds the joint up to a force.
+    """Set armature and motor of a joint, or its Coulomb friction as a drive that holds the joint up to a force.
 
-    PhysX has one drive a joint, which also is its damping: friction is left out where there is damping or a motor.
+    PhysX has one drive per joint, which also provides its damping; friction is omitted if there is damping or a motor.
     """
     joint.armature = np.full(joint.dof, values["armature"], dtype=np.float32)
     joint.friction = 0.0
@@ -276,14 +279,14 @@ def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> No
 
 
 def set_drive(joint: physx.PhysxArticulationJoint, drive: dict[str, float]) -> None:
-    """A motor that pulls a joint to its target like a spring with a damper, to which the joint's own damping adds."""
+    """Set a motor that pulls a joint to its target like a spring and damper, plus the joint's own damping."""
     limit = drive.get("force_limit", FAR)
     joint.set_drive_property(drive["stiffness"], drive["damping"] + joint.damping, limit, "force")
     joint.set_drive_target(drive["target"])
 
 
 def main() -> None:
-    """Say what was loaded."""
+    """Load the world and print a summary."""
     _, world = load()
     print(f"loaded {HERE / 'poses.json'}: {', '.join(world)}")
 

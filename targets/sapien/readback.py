@@ -1,4 +1,4 @@
-"""SAPIEN (PhysX on the CPU), from the urdf build through its ``load_sapien.py``."""
+"""SAPIEN read-back (PhysX on the CPU) of the urdf build, loaded by its ``load_sapien.py``."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ from simfoundry.verify.readback import (
 
 _TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
 _ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
-"""From our shapes, along z, to PhysX's, along x."""
+"""Rotation from our shapes, along z, to PhysX's, along x."""
 
 _NO_LIMIT = 1e9
 
 _SINGLE = 1e-6
-"""Below this two numbers in single precision are the same."""
+"""Two single-precision values that differ by less than this are equal."""
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The scene as its loader gives it."""
+    """Return a session for the scene from the loader."""
     scene, world = loader.load()
     files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
     return SapienSession(scene, world, BuildNames(_collider_names(folder), _own_damping(files), loader.HOLD))
@@ -50,10 +50,10 @@ def open_build(folder: Path, loader: ModuleType) -> Session:
 
 @dataclass(frozen=True)
 class BuildNames:
-    """The parts of a build that SAPIEN does not tell.
+    """The data of a build that SAPIEN does not report.
 
-    The names of ``colliders`` in the order of the files, by object and link; the ``damping`` of joints by themselves,
-    to which a motor's adds; ``holds`` is the damping of a drive that stands for Coulomb friction.
+    ``colliders`` are the shape names in file order, by object and link. ``damping`` is that of the joints themselves,
+    without motors. ``holds`` is the damping of a drive that models Coulomb friction.
     """
 
     colliders: dict[tuple[str, str], list[str]]
@@ -62,7 +62,7 @@ class BuildNames:
 
 
 def _own_damping(files: dict[str, Path]) -> dict[str, float]:
-    """The damping of the joints in the files, by ``object.joint``."""
+    """Return the damping of the joints in the files, by ``object.joint``."""
     return {
         f"{name}.{joint.get('name')}": float(dynamics.get("damping", "0"))
         for name, path in files.items()
@@ -72,7 +72,7 @@ def _own_damping(files: dict[str, Path]) -> dict[str, float]:
 
 
 def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
-    """The names of the collision shapes in the order of the files, which is PhysX's, by object and link."""
+    """Return the names of the collision shapes by object and link, in file order, which is also PhysX's."""
     return {
         (path.stem, link.get("name", "")): [c.get("name", "") for c in link.findall("collision")]
         for path in folder.glob("*.urdf")
@@ -81,7 +81,7 @@ def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
 
 
 class SapienSession:
-    """A scene with its articulations and single bodies."""
+    """A SAPIEN scene with its articulations and single bodies."""
 
     timestep = TIMESTEP
 
@@ -104,12 +104,12 @@ class SapienSession:
         self.scene.step()
 
     def moment(self, time: float) -> Moment:
-        """Poses of the roots and positions of the joints."""
+        """Return the poses of the root links and the positions of the joints."""
         return Moment(time, {name: pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
                       self._positions())  # fmt: skip
 
     def read(self) -> WorldReadback:
-        """Links, joints, gravity."""
+        """Return links, joints and gravity."""
         positions = self._positions()
         joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
         return WorldReadback(
@@ -120,7 +120,7 @@ class SapienSession:
         )
 
     def close(self) -> None:
-        """SAPIEN frees the scene with the object."""
+        """Do nothing; SAPIEN frees the scene with the object."""
 
     def _positions(self) -> dict[str, float]:
         return {
@@ -131,7 +131,7 @@ class SapienSession:
         }
 
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkReadback:
-        """A static body has no mass in PhysX."""
+        """Return the values of a link; a static body has no mass in PhysX."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
@@ -147,13 +147,13 @@ class SapienSession:
         )
 
     def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
-        """A static body is welded to the world; of an articulation's root SAPIEN does not tell."""
+        """Return the parent of a link; for the root of an articulation, SAPIEN does not report it."""
         if isinstance(link, physx.PhysxArticulationLinkComponent):
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
         return FREE if hasattr(link, "mass") else WORLD
 
     def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointReadback:
-        """PhysX has one drive a joint: a motor, the damping, or Coulomb friction, as its gains tell."""
+        """Return the values of a joint; its gains show if PhysX's one drive is a motor, damping or Coulomb friction."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
         holds = stiffness == 0 and damping == self.told.holds

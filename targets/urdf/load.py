@@ -1,6 +1,6 @@
-"""Load this world: ``load()`` returns where each object's URDF is and how to pose it; ``python load.py`` lists them.
+"""Load this world: ``load()`` returns the URDF and pose of each object; ``python load.py`` lists them.
 
-It needs nothing but Python: hand each file to the URDF reader of your simulator, with its base fixed or free as said.
+This script needs only Python: pass each file to your simulator's URDF reader, with its base fixed or free as stated.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ HERE = Path(__file__).resolve().parent
 
 @dataclass(frozen=True)
 class Placed:
-    """One object: its URDF, whether its base is fixed, the pose of its root link in the world, its joint positions.
+    """One object: its URDF, fixed flag of the base, pose of the root link in the world, and joint positions.
 
-    ``p`` [m]; ``q_wxyz`` a unit quaternion, w first; ``joints`` [m or rad] by name.
+    ``p`` is in [m]; ``q_wxyz`` is a unit quaternion, w first; ``joints`` are in [m or rad] by name.
     """
 
     urdf: Path
@@ -28,7 +28,7 @@ class Placed:
 
 
 def load() -> dict[str, Placed]:
-    """Every object by name. A missing file raises FileNotFoundError."""
+    """Return all objects by name. Raises FileNotFoundError for a missing file."""
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     world = {
         name: Placed(HERE / item["urdf"], item["fixed"], tuple(item["p"]), tuple(item["q_wxyz"]), item["joints"])
@@ -41,7 +41,7 @@ def load() -> dict[str, Placed]:
 
 
 def main() -> None:
-    """Say what is there."""
+    """Load the world and print a summary."""
     world = load()
     for name, item in world.items():
         robot = ET.parse(item.urdf).getroot()

@@ -1,4 +1,4 @@
-"""Load this world into OpenUSD: ``load()`` from Python, or ``python load.py`` to see it."""
+"""Load this world into OpenUSD: ``load()`` opens the stage in Python; ``python load.py`` opens it in a viewer."""
 
 import os
 import shutil
@@ -14,8 +14,9 @@ SCENE = Path(__file__).resolve().parent / "scene.usda"
 def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage:
     """Open the stage.
 
-    Contact materials hold square roots for PhysX, which multiplies the two of a pair. For a simulator that averages,
-    or takes the larger, ask for the surface's own values: they are set in the session layer, the files stay.
+    Contact materials contain square roots for PhysX, which multiplies the two values of a pair. For a simulator that
+    averages, or uses the larger value, request the surfaces' own values; they are set in the session layer, and the
+    files are unchanged.
     """
     stage = Usd.Stage.Open(str(SCENE))
     with Usd.EditContext(stage, stage.GetSessionLayer()):
@@ -31,7 +32,7 @@ def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage
 
 
 def main() -> None:
-    """Open usdview where there is one and a display; else say what was loaded."""
+    """Open usdview if it is installed and there is a display; otherwise print a summary."""
     display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     viewer = shutil.which("usdview")
     if display and viewer:

@@ -1,4 +1,4 @@
-"""OpenUSD, from the usd build through its own ``load.py``: what the stage says, without a simulator."""
+"""OpenUSD read-back of the usd build, loaded by its own ``load.py``: the contents of the stage, without a simulator."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": 
 
 
 def open_build(folder: Path, loader: ModuleType) -> Session:
-    """The stage of the build in ``folder``."""
+    """Return a session for the stage of the build in ``folder``."""
     return UsdSession(loader.load())
 
 
 class UsdSession:
-    """A stage, which does not move."""
+    """A stage, which cannot be stepped."""
 
     timestep = 0.0
 
@@ -46,16 +46,16 @@ class UsdSession:
         self._cache = UsdGeom.XformCache()
 
     def step(self) -> None:
-        """A stage has no dynamics."""
-        raise NotImplementedError("a USD stage does not step")
+        """Raise NotImplementedError, because a stage has no dynamics."""
+        raise NotImplementedError("a USD stage has no dynamics and cannot be stepped")
 
     def moment(self, time: float) -> Moment:
-        """Poses and joint positions as authored."""
+        """Return the authored poses and joint positions."""
         poses = {prim.GetName(): pose_numbers(self._pose(prim)) for prim in self._objects()}
         return Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
 
     def read(self) -> WorldReadback:
-        """Links and joints, and the gravity of the physics scene."""
+        """Return links, joints, and the gravity of the physics scene."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
         held = self._held()
@@ -72,7 +72,7 @@ class UsdSession:
         )
 
     def close(self) -> None:
-        """USD frees the stage with the object."""
+        """Do nothing; USD frees the stage with the object."""
 
     def _objects(self) -> list[Usd.Prim]:
         return _items(self.stage)
@@ -90,9 +90,9 @@ class UsdSession:
         return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
 
     def _held(self) -> dict[str, str | None]:
-        """Return the parent of each link: a joint's other end; none for a rigid body; else, for a root, the world.
+        """Return the parent of each link: a joint's other end, none for a rigid body, or the world for a static root.
 
-        Of other links of an object that cannot move a stage does not tell what they hang on.
+        For other static links, the stage does not state the parent.
         """
         names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
         found: dict[str, str | None] = {}
@@ -110,7 +110,7 @@ class UsdSession:
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """The filtered pairs; a collider stands for its link."""
+        """Return the filtered pairs; a collider represents its link."""
         names = {str(prim.GetPath()): name for name, prim in links(self.stage).items()}
         found = set()
         for path, name in names.items():
@@ -136,7 +136,7 @@ class UsdSession:
 
     def _collider(self, prim: Usd.Prim, X_LW: Pose) -> ColliderReadback:
         kind = _KINDS.get(str(prim.GetTypeName()), "other")
-        # Gf keeps the scale of a box apart from its rotation.
+        # Gf stores the scale of a box separately from its rotation.
         transform = Gf.Transform(self._cache.GetLocalToWorldTransform(prim))
         q = transform.GetRotation().GetQuat()
         X_LG = X_LW @ Pose.of(transform.GetTranslation(), [q.GetReal(), *q.GetImaginary()])
@@ -163,7 +163,7 @@ class UsdSession:
         )
 
     def _joint(self, name: str, prim: Usd.Prim) -> JointReadback:
-        """A joint of one axis as its prim says; a ball joint in the state in which its bodies stand."""
+        """Return the values of a joint: as authored for a single axis, and from the body poses for a ball joint."""
         if prim.GetTypeName() != "PhysicsSphericalJoint":
             return _joint(name, prim)
         ball = UsdPhysics.SphericalJoint(prim)
@@ -186,7 +186,7 @@ class UsdSession:
 
 
 def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """The prims of all links by qualified name; the first of an object is its root."""
+    """Return the prims of all links by qualified name; the first link of an object is its root."""
     found = {}
     for item in _items(stage):
         if not item.GetChild("Model"):
@@ -196,18 +196,18 @@ def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
 
 
 def _items(stage: Usd.Stage) -> list[Usd.Prim]:
-    """Objects and robots."""
+    """Return the prims of objects and robots."""
     scopes = (stage.GetPrimAtPath(path) for path in _SCOPES)
     return [prim for scope in scopes if scope for prim in scope.GetChildren()]
 
 
 def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """Robots that are a file of their own, whose prims have names of their own."""
+    """Return the robots that are separate files, whose prims have their own names."""
     return {prim.GetName(): prim for prim in _items(stage) if prim.GetChild("Model")}
 
 
 def _own(material: UsdShade.Material, name: str, value: float) -> float:
-    """A surface's own coefficient, which under the combine mode ``multiply`` is written as its root."""
+    """Return a surface's own coefficient, which is stored as its square root for the combine mode ``multiply``."""
     mode = material.GetPrim().GetAttribute(f"physxMaterial:{name}CombineMode").Get()
     return value * value if mode == "multiply" else value
 
@@ -243,16 +243,16 @@ def _joint(name: str, prim: Usd.Prim) -> JointReadback:
 
 
 OWN_DAMPING = "simfoundry:damping"
-"""What of the damping of a joint with a motor is its own; only those have it."""
+"""The part of the damping of a joint with a motor that is the joint's own; only such joints have this attribute."""
 
 
 def own_damping(joint: Usd.Prim) -> float:
-    """The damping of a joint that is not its motor's."""
+    """Return the damping of a joint without that of its motor."""
     return _number(joint, OWN_DAMPING)
 
 
 def _law(name: str, prim: Usd.Prim) -> tuple[str, tuple[float, ...]]:
-    """The joint that it follows, with multiplier and offset [rad or m]."""
+    """Return the joint that is followed, with multiplier and offset [rad or m]."""
     leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
     if not leaders:
         return "", ()

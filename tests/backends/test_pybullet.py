@@ -46,7 +46,7 @@ def test_losses_say_what_bullet_cannot_hold() -> None:
         "friction", "restitution",
     }  # fmt: skip
     assert losses["wedge.friction"].fidelity is Fidelity.APPROXIMATED
-    assert "0.4189 stands for 0.35, 0.6" in losses["wedge.friction"].reason
+    assert "0.4189 replaces 0.35, 0.6" in losses["wedge.friction"].reason
 
 
 def test_a_capsule_stays_a_capsule() -> None:

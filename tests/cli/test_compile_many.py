@@ -187,7 +187,7 @@ def hang_on_a(job: CompileJob) -> CompileOutcome:
 
 @pytest.mark.parametrize(
     ("function", "why"),
-    [("crash_on_a", "crashed (SIGSEGV)"), ("hang_on_a", "gave no sign of life for 6 s")],
+    [("crash_on_a", "crashed (SIGSEGV)"), ("hang_on_a", "did not respond for 6 s")],
 )
 @pytest.mark.usefixtures("project")
 def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
@@ -196,7 +196,7 @@ def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
     limits = Limits(6.0, 8 * 2**30)
     outcomes = compile_all(jobs, 2, limits=limits, function=f"tests.cli.test_compile_many:{function}")
     assert [o.state for o in outcomes] == [FAILED, COMPILED, COMPILED]
-    assert outcomes[0].error == f"its process {why}, at object `one` (one.obj)"
+    assert outcomes[0].error == f"its process {why}, while processing object `one` (one.obj)"
 
 
 def test_a_failed_scene_stops_no_other(project: Path) -> None:

@@ -88,7 +88,7 @@ def test_a_table_too_full_of_what_moves(project: Path) -> None:
     assert done.code == 1, done.err
     assert done.err == (
         "impossible: `table` is too full: the shadows of 12 objects take 0.579 m^2, it has 0.480 m^2, "
-        "and what is put by chance fills 85% of that at most\n"
+        "and random placement fills at most 85% of that\n"
     ), "9 crates of 0.0625 m^2, the brick of 0.0032, the can of 0.0027 and the post of 0.01 that stays"
     assert nothing_was_tried(project)
 

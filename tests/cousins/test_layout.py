@@ -87,7 +87,7 @@ def test_the_same_seed_gives_the_same_layout_whatever_came_before(table: Twin) -
         (axis("pots", brick=("LeftOf",)), "the anchor `pots` does not exist; did you mean `post`?"),
         (axis("post", brick=("Inside",)), "Inside(brick, post) can never hold: `post` has no cavity"),
         (axis("post", table=("LeftOf",)), "`table` is fixed to the world, so it cannot move"),
-        (axis("chip", brick=("LeftOf",)), "`brick` carries the anchor `chip`, so it cannot move around it"),
+        (axis("chip", brick=("LeftOf",)), "`brick` supports the anchor `chip`, so it cannot move around it"),
         (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "no place on `table` left of `post` is 2 m from `post`"),
         (axis("post", brick=("LeftOf",), gap=(0.5, 0.6)), "`brick` finds room for 0.3"),
         (axis("post", brick=("NextTo",), gap=(0.6, 0.7)), "no place on `table` is 0.6 m from `post`"),

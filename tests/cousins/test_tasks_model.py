@@ -53,10 +53,10 @@ EXPECTED = {
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),
     "move_the_desk": ("fixed", "`desk` is fixed"),
-    "two_markers": ("bad_goal", "stands for 2 objects"),
+    "two_markers": ("bad_goal", "has 2 members"),
     "sneaky": ("bad_goal", "is not of the form"),
-    "part 12 of the answer": ("unreadable", "no YAML"),
-    "empty_handed": ("bad_goal", "not 0"),
+    "part 12 of the answer": ("unreadable", "not valid YAML"),
+    "empty_handed": ("bad_goal", "has 0"),
     "eraser_away": (),
 }
 
@@ -120,8 +120,8 @@ def test_text_around_and_fences_are_passed_over() -> None:
         ("task_name: a\ngoal_predicates_all: [{state: Open}]", "group"),
         ("task_name: 5\ngoal_predicates_all: []", "task_name"),
         ("goal_predicates_all: []", "task_name"),
-        ("task_name: a\n  b: {", "no YAML"),
-        ("- task_name: a", "no mapping"),
+        ("task_name: a\n  b: {", "not valid YAML"),
+        ("- task_name: a", "not a mapping"),
     ],
 )
 def test_what_cannot_be_read_says_why(text: str, why: str) -> None:

@@ -65,7 +65,7 @@ class Trap:
         (array(dtype="nonsense"), "an unknown type"),
         (array(dtype=[["a", "<f4"]]), "an unknown type"),
         (array(shape=[10**6, 10**6]), "in 32 bytes"),
-        (array(shape=[-1, 8]), "the shape [-1, 8]"),
+        (array(shape=[-1, 8]), "the invalid shape [-1, 8]"),
         (array(shape=[1] * 40), "the invalid shape"),
         (array(shape="18"), "without data or shape"),
         (array(data="text"), "without data or shape"),

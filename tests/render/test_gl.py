@@ -122,7 +122,7 @@ def test_the_renderer_refuses_what_is_larger_than_its_buffer() -> None:
     need(Engine.EGL)
     with MujocoWorld(tabletop()) as world, MujocoRenderer(world.model, 64, 48, Engine.EGL) as renderer:
         assert renderer.picture(world.data, front_camera(64, 48)).shape == (48, 64, 3)
-        with pytest.raises(RenderError, match="'front' is 96x72, the renderer was made for 64x48"):
+        with pytest.raises(RenderError, match="'front' is 96x72, but the renderer was created for 64x48"):
             renderer.picture(world.data, front_camera(96, 72))
 
 
@@ -176,7 +176,7 @@ def test_overlay_tints_each_object_outlines_it_and_leaves_the_rest() -> None:
         np.testing.assert_allclose(out[v, u], 50 + np.array(label_color(label)) / 2, atol=0.51)
         np.testing.assert_array_equal(out[v, 5], label_color(label))
     assert len({label_color(k) for k in range(1, 40)}) == 39
-    with pytest.raises(ValueError, match="must agree"):
+    with pytest.raises(ValueError, match="must be equal"):
         overlay(color, objects[:-1])
 
 

@@ -70,7 +70,9 @@ def test_two_packages_with_one_name_are_told_apart(site: Path) -> None:
     for name in ("one", "two"):
         write_package(site, name, {"simfoundry.backends": {"tau": f"{name}:X"}}, {f"{name}.py": "X = 1.0"})
     assert "tau" in BACKENDS.names()
-    with pytest.raises(SimfoundryError, match=r"of the package (one|two) 0.1 .* the package (one|two) 0.1 brings one"):
+    with pytest.raises(
+        SimfoundryError, match=r"of the package (one|two) 0.1 .* the package (one|two) 0.1 provides one"
+    ):
         BACKENDS.load("tau")
 
 

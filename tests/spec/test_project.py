@@ -103,7 +103,7 @@ def test_links_that_form_a_ring_are_findings(tree: Path) -> None:
     (tree / "gone.scene.yaml").symlink_to("nothing.scene.yaml")
     done = run("check", ".")
     for name in ("ring", "back"):
-        assert f"{name}.scene.yaml: error[SF001] the file cannot be read: its links form a ring" in done.err
+        assert f"{name}.scene.yaml: error[SF001] the file cannot be read: its links form a cycle" in done.err
     assert "gone.scene.yaml: error[SF001] the file cannot be read: No such file or directory" in done.err
     assert done.out == "3 errors in 3 of 6 documents\n"
     assert "error[SF001]" in run("check", "ring.scene.yaml").err

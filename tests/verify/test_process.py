@@ -42,8 +42,8 @@ def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> N
     done: list[int] = []
     answers = ask(HERE, MUJOCO.readback, [crash, good, hang, wrong, leave, chatty, good], 6.0, done.append)
     assert [a.facts is not None for a in answers] == [False, True, False, False, False, False, True]
-    assert answers[0].error == "crashed: SIGSEGV; it said: last words"
-    assert answers[2].error == "gave no answer in 6 s"
+    assert answers[0].error == "crashed: SIGSEGV; its last output was: last words"
+    assert answers[2].error == "did not respond within 6 s"
     assert answers[3].error == "ValueError: <bad> build"
     assert answers[4].error == "ended with exit code 7"
     assert answers[5].error == "KeyError: 'x'"
@@ -86,7 +86,7 @@ def test_what_is_no_engine_is_said_with_those_there_are(tmp_path: Path) -> None:
         find_engine("bullet")
     with pytest.raises(UnknownEngineError, match="no engine is called `bullet`"):
         interpreters([f"bullet={HERE}"], (), {})
-    with pytest.raises(SimfoundryError, match=r"there is no interpreter at .*nowhere, where drake should be"):
+    with pytest.raises(SimfoundryError, match=r"there is no interpreter at .*nowhere, which is configured for drake"):
         interpreters([f"drake={tmp_path}/nowhere"], (), {})
 
 

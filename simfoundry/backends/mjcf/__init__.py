@@ -1,20 +1,22 @@
-"""MJCF for MuJoCo: ``scene.xml``, the pairs of its contacts, its assets and a loader.
+"""MJCF for MuJoCo: ``scene.xml``, its contact pairs, its assets and a loader.
 
-Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
-``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), visual geoms ``object:visual``,
-and those of the background ``:background:visual``. A primitive that is both is one geom, named as a collider. Visuals
-are in group 2, all other colliders in group 3, which cameras leave out. Meshes are named after the first geom that
-uses them: ``bowl_collision_3``.
+Naming: the body of a root link has the name of the object, any other body ``object.link``. The free joint of a root has
+the name of the object, any other joint ``object.joint``. Collision geoms are ``object.collider`` or
+``object.link.collider``; visual geoms are ``object:visual``, and those of the background ``:background:visual``. A
+primitive that serves as both is one geom with the collider's name. Visual geoms are in group 2; all other colliders are
+in group 3, which cameras do not draw. A mesh is named after the first geom that uses it: ``bowl_collision_3``.
 
-Each material is a class; see :mod:`simfoundry.backends.mjcf.contact_rules` for how unlike materials meet. Mass
-properties are explicit. Links that a joint connects do not collide: joints, not contacts, hold a drawer in its cabinet.
+Each material is a class; :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike materials.
+Mass properties are explicit. Links connected by a joint do not collide: the joint, not contact, holds a drawer in its
+cabinet.
 
-The initial state is the keyframe ``initial``. Free bodies also stand there without it; joints stand at zero. ``ref``
-would let them start elsewhere, but ball joints have none, some readers count joint coordinates from it (Newton takes
-``qpos - ref``), and an edit of a position by hand would have to change a body's pose, a ``ref`` and the keyframe alike.
+The initial state is the keyframe ``initial``. Without it, free bodies are at their initial poses, but joints are at
+zero. The attribute ``ref`` could start joints elsewhere, but ball joints do not have it, some readers measure joint
+coordinates from it (Newton uses ``qpos - ref``), and changing a position by hand would then mean changing the body
+pose, ``ref`` and the keyframe together.
 
-A robot is its own MJCF below a body of its name; its names have the robot's before them: ``arm.joint1``. Its frames
-that a scene can name are sites: ``arm.hand``.
+A robot is its own MJCF model below a body with the robot's name, which also prefixes all of its names: ``arm.joint1``.
+The robot frames that a scene can refer to are sites: ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -53,10 +55,10 @@ from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
-"""Seconds per step: MuJoCo's default, at which its contacts of 20 ms are stable."""
+"""Time step [s]: MuJoCo's default, at which its 20 ms contacts are stable."""
 
 EXACT, NATIVE = "exact", "native"
-"""The contacts that a build can have: what two surfaces mean together, or what MuJoCo's own rule makes of them."""
+"""The contact modes of a build: exact pair friction as in the scene, or MuJoCo's native rule."""
 
 _LOADER = shipped("targets/mjcf") / "load.py"
 _RULES = Path(__file__).parent / "contact_rules.py"
@@ -65,14 +67,14 @@ _RULES = Path(__file__).parent / "contact_rules.py"
 def compile_mjcf(
     scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0, contacts: str = EXACT
 ) -> Artifact:
-    """Compile a scene to MJCF that steps by ``timestep`` [s].
+    """Compile a scene to MJCF with time step ``timestep`` [s].
 
-    With ``cylinder_sides`` of three or more, cylinders collide as prisms of so many sides, for readers that collide no
-    cylinders. ``contacts`` is `exact` or `native`; native leaves out the pairs: MuJoCo then takes the larger friction
-    of two surfaces. Raises :class:`InvalidSceneError` for unusable names and for other contacts.
+    If ``cylinder_sides`` is three or more, cylinders collide as prisms with that many sides, for readers without
+    cylinder collisions. ``contacts`` is `exact` or `native`; native omits the contact pairs, so that MuJoCo uses the
+    larger of two friction coefficients. Raises :class:`InvalidSceneError` for invalid names or contact modes.
     """
     if contacts not in (EXACT, NATIVE):
-        raise InvalidSceneError(f"the option `contacts` is `{EXACT}` or `{NATIVE}`, not `{contacts}`")
+        raise InvalidSceneError(f"the option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
     check_names(scene)
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []
@@ -129,7 +131,7 @@ def _losses(scene: Scene, timestep: float) -> list[Loss]:
 
 
 def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: MaterialClasses) -> None:
-    """Add how to read the file, how to step, and what the geoms have in common."""
+    """Add the compiler and solver settings, and the defaults of all geoms."""
     root.append(ET.Comment(f"{scene.name}: generated by SimFoundry. `python load.py` opens it in its initial state."))
     compiler = {
         "angle": "radian",
@@ -145,27 +147,30 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: Ma
     }
     root.append(ET.Comment("Masses and inertias are explicit: nothing is derived from geoms."))
     ET.SubElement(root, "compiler", compiler)
-    # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
+    # An elliptic cone with stiff tangential constraints preserves Coulomb's law: a box stays at rest on a slope up to
+    # the friction angle.
     option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
-    # Resistance against rolling is so small beside it that the tangent has to be stiffer still, or a held ball creeps.
+    # Rolling resistance is small compared with friction, so the tangential constraints must be even stiffer; otherwise
+    # a ball at rest creeps.
     impratio = "100" if resists_rolling(scene) else "10"
     root.append(ET.Comment("The elliptic cone and impratio keep Coulomb's law: friction holds up to its angle."))
     ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": impratio})
     visual = ET.SubElement(root, "visual")
     cameras = [*scene.cameras, *(m.camera for m in scene.mounted)]
-    if cameras:  # the off-screen buffer must hold the largest picture
+    if cameras:  # the off-screen buffer must hold the largest image
         width, height = max(c.width for c in cameras), max(c.height for c in cameras)
         ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(visual, "headlight", own_light)
     root.append(ET.Comment("A class for each material: its friction, and its restitution as `user` and damping."))
     default = ET.SubElement(root, "default")
-    # Stiff, so that Coulomb friction holds a joint still; at MuJoCo's default a held drawer creeps 10 mm/s.
+    # Stiff enough that Coulomb friction keeps a joint at rest; with MuJoCo's default, a joint held by friction creeps
+    # at 10 mm/s.
     ET.SubElement(default, "joint", solimpfriction="0.999 0.999 0.001 0.5 2")
     visuals = ET.SubElement(default, "default", {"class": VISUAL})
     ET.SubElement(visuals, "geom", group=VISUAL_GROUP, contype="0", conaffinity="0", mass="0")
     colliders = ET.SubElement(default, "default", {"class": COLLISION})
-    # MuJoCo takes the larger resistance of a pair, so where one counts, the defaults of all others must not.
+    # MuJoCo uses the larger resistance of a pair, so the default must be zero for all other geoms.
     ET.SubElement(colliders, "geom", group="3", condim="3", friction="1 0 0", rgba="0.9 0.5 0.2 0.5")
     materials.add_defaults(colliders)
 
@@ -180,7 +185,7 @@ def _add_exclusions(root: ET.Element, excluded: list[tuple[str, str]]) -> None:
 
 
 def _add_keyframe(root: ET.Element, qpos: list[float], ctrl: list[float]) -> None:
-    """Add the initial state of all joints and actuators."""
+    """Add the initial state of all joints and actuators as a keyframe."""
     root.append(ET.Comment("The initial state: without it, joints stand at zero."))
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", {"name": "initial"} | state)

@@ -23,15 +23,15 @@ _JOINT_TYPES = {
 
 
 def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add an object's bodies to the world; returns its initial ``qpos`` in MuJoCo's depth-first order.
+    """Add the bodies of an object to the world; return its initial ``qpos`` in MuJoCo's depth-first order.
 
-    ``materials`` are the classes of the scene.
+    ``materials`` holds the classes of the scene.
     """
     return [value for tree in trees(item) for value in _add_tree(world, tree, assets, materials)]
 
 
 def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add one tree of links; MuJoCo knows free joints in the world only, so each tree is a body there."""
+    """Add one tree of links as a body in the world, the only place where MuJoCo allows free joints."""
     item = tree.owner
     body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
     qpos: list[float] = []
@@ -57,14 +57,14 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: Material
 
 
 def add_background(world: ET.Element, background: Background, assets: Assets) -> None:
-    """Add the background; its geoms collide with nothing."""
+    """Add the background as visual geoms without collisions."""
     for visual in background.visuals:
         posed = replace(visual, X_LG=background.X_WB @ visual.X_LG)
         _add_visual(world, f":background:{visual.name}", posed, assets)
 
 
 def free_joint_name(tree: Tree) -> str:
-    """The name of the free joint of a tree's root: the object's own, or ``object.joint``."""
+    """Return the name of the free joint of a tree's root: the object's name or ``object.joint``."""
     return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
 
 
@@ -80,14 +80,14 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
             if value:
                 attributes[key] = number(value)
         if joint.type is JointType.BALL and joint.friction:
-            # MuJoCo softens the friction by the mean over the axes, about one of which most things turn easily.
+            # MuJoCo averages the friction impedance over the axes, and most objects turn easily about one of them.
             attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
     return body
 
 
 def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """The mass properties and geoms of a link."""
+    """Add the mass properties and geoms of a link."""
     moments, q = link.principal
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
     ET.SubElement(body, "inertial", inertial | _turn(q))
@@ -106,7 +106,7 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
 
 
 def _add_geoms(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """Add the geoms of a link; a primitive that is both visual and collider is one geom, in the group of visuals."""
+    """Add the geoms of a link; a primitive that is both visual and collider becomes one geom in the visual group."""
     both: dict[str, Visual] = {v.name: v for v in link.visuals if not isinstance(v.geometry, Mesh)}
     shapes = {c.name: _placed_shape(c, assets, f"{name}_collision") for c in link.colliders}
     both = {n: v for n, v in both.items() if n in shapes and shapes[n] == _placed_shape(v, assets, name)}
@@ -125,7 +125,7 @@ def _placed_shape(part: Visual | Collider, assets: Assets, name: str) -> dict[st
 
 
 def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False) -> dict[str, str]:
-    """Return type and size of a geom, in half extents and half heights; ``name`` is that of its mesh, if it is new."""
+    """Return the type and half sizes of a geom; ``name`` is used for its mesh if the mesh is new."""
     match geometry:
         case Box(size=size):
             return {"type": "box", "size": numbers(size / 2)}
@@ -140,7 +140,7 @@ def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False
 
 
 def pose_attributes(pose: Pose) -> dict[str, str]:
-    """``pos`` and ``quat`` (wxyz) of a pose, without what is zero."""
+    """Return ``pos`` and ``quat`` (wxyz) of a pose; identity values are omitted."""
     if pose is IDENTITY:
         return {}
     p = pose.p.tolist()

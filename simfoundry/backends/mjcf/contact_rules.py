@@ -1,18 +1,20 @@
-"""Contacts of this world: each pair of surfaces slides at the geometric mean of their frictions.
+"""Exact contact friction in MuJoCo: every pair of surfaces slides at the geometric mean of its two coefficients.
 
-MuJoCo takes the larger friction of two geoms and averages their damping. Here a pair means more: the geometric mean of
-two frictions and of two restitutions, and the larger resistance against spinning and rolling. Every geom holds its own
-numbers only: ``friction``, and its restitution as ``user`` data, because MuJoCo has none. Surfaces that MuJoCo's rule
-combines wrongly are called unlike. They are made right in two ways:
+MuJoCo uses the larger friction of two geoms and averages their damping. In a scene, a pair has the geometric mean of
+both frictions and of both restitutions, and the larger resistance to spinning and rolling. Every geom stores only its
+own values: ``friction``, and the restitution as ``user`` data, because MuJoCo has no restitution. Surfaces that
+MuJoCo's rule combines incorrectly are called unlike. There are two ways to correct them:
 
-- :func:`contacts_text` writes ``contacts.xml``, which the scene includes: a ``<pair>`` for each two unlike geoms that
-  can meet, so that whoever opens the scene has them. MuJoCo tests each of them in every step, and a file of thousands
-  cannot be read: the groups between moving objects that go beyond :data:`MAX_PAIRS` are left to the other way.
-- :func:`make_exact` changes a specification in memory, which `load()` does. Where unlike geoms are many, one of the two
-  surfaces gets proxy geoms of the contact that they make: at the same place, invisible, with a priority that lets them
-  decide, and with masks so that they meet only the other surface. That steps faster than pairs.
+- :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with a ``<pair>`` for each two unlike geoms
+  that can meet, so that every program that opens the scene gets them. MuJoCo tests each pair in every step, and a
+  file with thousands of pairs is unreadable; groups of moving objects beyond :data:`MAX_PAIRS` are left to the other
+  method.
+- :func:`make_exact` changes a specification in memory; `load()` calls it. If there are many unlike geoms, one of the
+  two surfaces gets proxy geoms with the properties of the contact: invisible, at the same place, with a priority
+  that makes their values decide, and with masks that let them meet only the other surface. Stepping is then faster
+  than with pairs.
 
-Contacts of geoms that are not the scene's, as a robot's, stay as MuJoCo makes them.
+Contacts of geoms that do not belong to the scene, such as those of a robot, keep MuJoCo's rule.
 """
 
 from __future__ import annotations
@@ -28,36 +30,36 @@ if TYPE_CHECKING:
     import mujoco
 
 CONTACTS_FILE = "contacts.xml"
-"""The file with the pairs, beside the scene that includes it."""
+"""The file that lists the contact pairs; the scene beside it includes it."""
 
 EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
-"""A :data:`CONTACTS_FILE` without pairs; MuJoCo refuses to include one without elements."""
+"""The content of :data:`CONTACTS_FILE` if there are no pairs; MuJoCo cannot include a file without elements."""
 
 MAX_PAIRS = 3000
-"""Pairs that the file may hold: 200 kB of text, and 40 us a step where nothing is near."""
+"""Maximum number of pairs in the file: 200 kB of text, and 40 us per step if no geoms are close."""
 
 MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
-"""Fewer pairs than this cost less than proxy geoms. MuJoCo tests a pair in 14 ns where its geoms are far apart and in
-0.7 us near a table; proxy geoms that move have to be placed in each step. Measured by `tests/benchmarks/stepping.py`
-on `cluttered` and `clear_table`: with 16 to 300 for the moving, 150 steps fastest."""
+"""Minimum number of pairs for which proxy geoms are used; below it, pairs are cheaper. MuJoCo tests a pair in 14 ns if
+its geoms are far apart and in 0.7 us near a table; moving proxy geoms have to be updated in every step. Measured by
+`tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: of 16 to 300 for moving geoms, 150 was fastest."""
 
 ROBOTS = "simfoundry:robots"
-"""The custom text that names the bodies of robots, whose contacts are their own."""
+"""The custom text that lists the bodies of robots, whose contacts are not changed."""
 
 PROXY = ":proxy"
-"""The start of the suffix that proxy geoms and their bodies have behind the names of those they stand for; names of a
-scene have no colon."""
+"""Start of the suffix that proxy geoms and bodies append to the names they stand for; names in a scene contain no
+colon."""
 
 _CONTACT_TIME = 0.02
-"""Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table,
-not 4, but below 0.012 a can on its side rolls away."""
+"""Time constant of a contact [s]: MuJoCo's default. At 0.008 a bowl that falls from 2 cm penetrates a table by 1.5 mm
+instead of 4 mm, but below 0.012 a can on its side rolls away."""
 
 _MASK_BITS = 31
-"""Bits of a mask, without the sign."""
+"""Number of usable bits in a mask; the sign bit is excluded."""
 
 
 class ContactSurface(NamedTuple):
-    """Friction, restitution, and resistance against spinning and rolling [m]: of a collider, or of a contact."""
+    """Friction, restitution, and resistance to spinning and rolling [m], of a collider or of a contact."""
 
     friction: float
     restitution: float
@@ -66,7 +68,7 @@ class ContactSurface(NamedTuple):
 
 
 class ContactGeom(NamedTuple):
-    """A collision geom: its name, its body's name, true if it can never move, its surface, its class in the file."""
+    """A collision geom: its name, body, static flag, surface and material class."""
 
     name: str
     body: str
@@ -76,7 +78,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Geoms of two surfaces that MuJoCo combines wrongly, of which the first never moves or both do."""
+    """Geoms of two surfaces that MuJoCo combines incorrectly; the first is static, or both can move."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -89,7 +91,7 @@ Excluded = frozenset[frozenset[str]]
 
 
 def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
-    """Return the contact that two surfaces should make."""
+    """Return the contact properties that two surfaces should have together."""
     if a == b:
         return a
     return ContactSurface(
@@ -101,7 +103,7 @@ def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
 
 
 def is_native(a: ContactSurface, b: ContactSurface) -> bool:
-    """Return true if MuJoCo makes the desired contact by its own rule, with geoms that hold their own numbers."""
+    """Return true if MuJoCo's own rule gives the desired contact from the values of the two geoms."""
     contact = desired_contact(a, b)
     if format_number(max(a.friction, b.friction)) != format_number(contact.friction):
         return False
@@ -109,14 +111,14 @@ def is_native(a: ContactSurface, b: ContactSurface) -> bool:
 
 
 def format_number(value: float) -> str:
-    """Return a number as the files have it: twelve significant digits."""
+    """Format a number with twelve significant digits."""
     return f"{value:.12g}"
 
 
 def solref(restitution: float) -> tuple[float, float]:
-    """Return MuJoCo's time constant [s] and damping ratio of a contact that rebounds at ``restitution``.
+    """Return MuJoCo's time constant [s] and damping ratio of a contact with the given restitution.
 
-    The stiffness is that of MuJoCo's default contact; only the damping follows the restitution.
+    The stiffness is that of MuJoCo's default contact; only the damping depends on the restitution.
     """
     ratio = damping_ratio(restitution)
     return _CONTACT_TIME / ratio, ratio
@@ -124,33 +126,33 @@ def solref(restitution: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=256)
 def damping_ratio(restitution: float) -> float:
-    """Return the damping ratio of a spring and damper that only push and rebound at ``restitution``.
+    """Return the damping ratio of a push-only spring and damper with the given restitution.
 
-    The bodies part when the force, not the depth, reaches zero (Schwager and Poeschel, Granular Matter 9, 2007), so
-    critical damping still rebounds at exp(-2): less than that is out of reach and gets ratio 1.
+    The bodies separate when the force, not the penetration, reaches zero (Schwager and Poeschel, Granular Matter 9,
+    2007). Critical damping therefore still rebounds at exp(-2); lower restitutions cannot be reached and get ratio 1.
     """
     if restitution <= math.exp(-2):
         return 1.0
     low, high = 1e-3, 1.0
-    for _ in range(60):  # halvings down to the last bit of a double
+    for _ in range(60):  # bisection to the precision of a double
         middle = (low + high) / 2
         low, high = (middle, high) if rebound(middle) > restitution else (low, middle)
     return (low + high) / 2
 
 
 def rebound(ratio: float) -> float:
-    """Return the restitution of a spring and damper of a damping ratio below 1 that only push."""
+    """Return the restitution of a push-only spring and damper with a damping ratio below 1."""
     root = math.sqrt(1 - ratio * ratio)
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
 
 def contact_dimensions(surface: ContactSurface) -> int:
-    """Return MuJoCo's ``condim`` of a contact that resists sliding, and spinning or rolling as well."""
+    """Return MuJoCo's ``condim`` for a contact: sliding only, or also spinning or rolling."""
     return 6 if surface.rolling else 4 if surface.spinning else 3
 
 
 def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
-    """Return the groups of geoms that MuJoCo combines wrongly: those with static geoms first, then small ones first."""
+    """Return the groups of geoms that MuJoCo combines incorrectly: groups with static geoms first, then by size."""
     moving, static = by_surface(geoms, static=False), by_surface(geoms, static=True)
     found = [(static[a], moving[b]) for a, b in product(static, moving) if not is_native(a, b)]
     found += [(moving[a], moving[b]) for a, b in combinations(moving, 2) if not is_native(a, b)]
@@ -159,7 +161,7 @@ def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
 
 
 def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurface, list[ContactGeom]]:
-    """Return the geoms that never move, or those that can, by surface."""
+    """Group the static geoms, or the movable ones, by surface."""
     groups: dict[ContactSurface, list[ContactGeom]] = {}
     for geom in geoms:
         if geom.static == static:
@@ -168,14 +170,14 @@ def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurfac
 
 
 def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[ContactGeom, ContactGeom]]:
-    """Yield the pairs of named geoms of a group that can meet."""
+    """Yield the pairs of named geoms in a group that can meet."""
     for one, other in product(group.one, group.other):
         if one.body != other.body and (not excluded or frozenset((one.body, other.body)) not in excluded):
             yield one, other
 
 
 def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], list[UnlikeGroup]]:
-    """Return the groups whose pairs stand in :data:`CONTACTS_FILE`, and those too large for it."""
+    """Return the groups whose pairs are written to :data:`CONTACTS_FILE`, and the groups that are too large for it."""
     kept: list[UnlikeGroup] = []
     left: list[UnlikeGroup] = []
     room = MAX_PAIRS
@@ -187,7 +189,7 @@ def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], lis
 
 
 def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
-    """Return the text of :data:`CONTACTS_FILE`: a class for each kind of contact, and the pairs of each."""
+    """Return the text of :data:`CONTACTS_FILE`: one class for each type of contact, and its pairs."""
     kept, left = written_groups(geoms)
     classes: list[str] = []
     lines: list[str] = []
@@ -227,7 +229,7 @@ def _unused_name(wish: str, taken: set[str]) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return ``condim``, ``friction`` and ``solref`` of a pair, which takes nothing from its geoms."""
+    """Return ``condim``, ``friction`` and ``solref`` of a pair; a pair inherits nothing from its geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -250,7 +252,7 @@ def read_scene(folder: Path) -> mujoco.MjSpec:
 
 
 def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
-    """Return the model of the files of a build with exact contacts, as `load()` does."""
+    """Compile the files of a build into a model with exact contacts, as `load()` does."""
     import mujoco
 
     assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
@@ -261,7 +263,7 @@ def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
 
 
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
-    """Return the scene's geoms that collide, the geoms of the specification by name, and the geoms of robots."""
+    """Return the collision geoms of the scene, the geoms of the specification by name, and the geoms of robots."""
     robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
     ours: list[ContactGeom] = []
     by_name: dict[str, mujoco.MjsGeom] = {}
@@ -275,7 +277,7 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
             if foreign_body:
                 foreign.append(geom)
                 continue
-            if not geom.name:  # so that masks and pairs can refer to it
+            if not geom.name:  # masks and pairs refer to geoms by name
                 geom.name = f"{body.name}{PROXY}_of_{len(by_name)}"
             surface = _surface(geom)
             ours.append(ContactGeom(geom.name, body.name, static, surface, geom.classname.name))
@@ -285,7 +287,7 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
 
 
 def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
-    """Return the surface of a geom; what it resists beyond sliding counts in contacts of as many dimensions only."""
+    """Return the surface of a geom; resistance to spinning and rolling counts only if ``condim`` includes it."""
     sliding, spinning, rolling = (float(v) for v in geom.friction)
     restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
     return ContactSurface(
@@ -299,7 +301,7 @@ def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
 
 
 def make_exact(spec: mujoco.MjSpec) -> None:
-    """Make each contact of a scene what its surfaces mean together, by pairs or proxy geoms, from its own numbers.
+    """Make every contact of a scene exact, by pairs or proxy geoms, from the values in the specification.
 
     ``spec`` is the scene without :data:`CONTACTS_FILE`.
     """
@@ -322,7 +324,7 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits that no robot has; none where a robot's geom would not meet one of the first bit only."""
+    """Return the mask bits that no robot uses; none if a robot geom would not meet a geom with only the first bit."""
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -332,7 +334,7 @@ def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
 
 
 def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[ContactSurface, int]) -> bool:
-    """Return true if a group is large, and both its surfaces have the bits that masks need."""
+    """Return true if a group is large and both of its surfaces have mask bits."""
     static = group.one[0].static
     surfaces = [geoms[0].surface for geoms in (group.one, group.other) if not geoms[0].static]
     fewest = MIN_STATIC_PAIRS if static else MIN_MOVING_PAIRS
@@ -345,10 +347,10 @@ def _set_masks(
     bit_of: Mapping[ContactSurface, int],
     proxied: Iterable[UnlikeGroup],
 ) -> None:
-    """Let the geoms meet those of robots, and of the scene all but the surfaces for which there are proxies.
+    """Set the masks such that geoms meet the robots and all surfaces of the scene for which there are no proxies.
 
-    The affinity of a moving geom is the bit of its surface; its type has the bits of all surfaces that it meets itself.
-    One without a bit has the type of all: it meets everything, and pairs overrule that where it is wrong.
+    The affinity of a moving geom is the bit of its surface; its type has the bits of all surfaces that it meets
+    directly. A geom without a bit has the type of all: it meets everything, and pairs override incorrect contacts.
     """
     apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
     types: dict[tuple[ContactSurface, bool], int] = {}
@@ -364,10 +366,10 @@ def _set_masks(
 def _add_proxies(
     by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[ContactSurface, int], proxied: Iterable[UnlikeGroup]
 ) -> dict[str, list[str]]:
-    """Give the geoms of the smaller side of each group proxies, one for all surfaces that make the same contact.
+    """Add proxies for the geoms of the smaller side of each group, one for all surfaces with the same contact.
 
-    They are in bodies of their own, because MuJoCo passes over whole bodies by their masks. Returns these by the name
-    of the body that they are fixed to.
+    Proxies have their own bodies, because MuJoCo skips whole bodies by their masks. Returns the proxy bodies by the
+    name of the body to which they are fixed.
     """
     masks: dict[tuple[str, ContactSurface], int] = {}
     for group in proxied:
@@ -389,7 +391,7 @@ def _add_proxies(
 
 
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
-    """Add a geom of the same shape that decides over whatever it meets."""
+    """Add a geom of the same shape whose values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     holder.add_geom(
         geom.classname,
@@ -406,7 +408,7 @@ def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact:
 
 
 def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> None:
-    """Exclude the bodies of proxies from what the bodies that they are fixed to are excluded from."""
+    """Exclude the proxy bodies from the contacts from which the bodies they are fixed to are excluded."""
     for pair in list(spec.excludes):
         a, b = pair.bodyname1, pair.bodyname2
         for one, other in [*((proxy, b) for proxy in bodies.get(a, ())), *((a, proxy) for proxy in bodies.get(b, ()))]:
@@ -414,7 +416,7 @@ def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> No
 
 
 _SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "solimp", "margin", "gap")
-"""The fields that make a geom meet others where it is."""
+"""The fields that place a geom and control its collisions."""
 
 
 def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: ContactSurface) -> None:

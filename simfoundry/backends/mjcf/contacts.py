@@ -1,4 +1,4 @@
-"""Materials as MJCF classes, and the contacts of a scene: pairs that collide, pairs that do not, and their losses."""
+"""Materials as MJCF classes, and the contacts of a scene: colliding pairs, excluded pairs, and the losses of both."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
 from simfoundry.scene.touching import excluded_link_pairs
 
 COLLISION, VISUAL = "collision", "visual"
-"""The classes of geoms that collide, of which each material is a child, and of those that do not."""
+"""The class of collision geoms, which is the parent of all material classes, and the class of visual geoms."""
 
 VISUAL_GROUP = "2"
-"""The group that cameras draw; colliders that are not visual are in 3, which MuJoCo's viewer hides."""
+"""The geom group that cameras draw; colliders that are not visual are in group 3, which MuJoCo's viewer hides."""
 
 _RESERVED = ("main", COLLISION, VISUAL)
 
 
 class MaterialClasses:
-    """The class of each material; a geom whose surface is not its material's adds its own numbers."""
+    """The class of each material; a geom whose surface differs from that of its material states its own values."""
 
     def __init__(self, scene: Scene) -> None:
         self._surfaces: dict[str, ContactSurface] = {}
@@ -41,12 +41,12 @@ class MaterialClasses:
                         self._surfaces.setdefault(_class_name(collider.material), surface_of(collider))
 
     def add_defaults(self, collision: ET.Element) -> None:
-        """Add the classes below that of all geoms that collide."""
+        """Add the material classes below the class of collision geoms."""
         for name, surface in self._surfaces.items():
             ET.SubElement(ET.SubElement(collision, "default", {"class": name}), "geom", surface_attributes(surface))
 
     def attributes(self, collider: Collider) -> dict[str, str]:
-        """Return the class of a collider, and its surface where the class has another."""
+        """Return the class of a collider, and its surface values if they differ from those of the class."""
         surface, name = surface_of(collider), _class_name(collider.material)
         own = self._surfaces.get(name)
         if own is None:
@@ -66,9 +66,9 @@ def surface_of(collider: Collider) -> ContactSurface:
 
 
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
-    """Return the attributes of a geom with a surface, in a class with an ``inherited`` one.
+    """Return the attributes of a geom with the given surface, in a class with the ``inherited`` surface.
 
-    Its restitution is its ``user`` number, which MuJoCo keeps and does not use; ``solref`` is what comes nearest to it.
+    The restitution is stored in ``user``, which MuJoCo keeps but does not use; ``solref`` is the closest approximation.
     """
     spinning, rolling = surface.spinning, surface.rolling
     resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))
@@ -112,18 +112,18 @@ def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
 
 
 def excluded_set(pairs: Sequence[tuple[str, str]]) -> Excluded:
-    """Return pairs of bodies in either order."""
+    """Return the pairs as a set of unordered pairs of bodies."""
     return frozenset(map(frozenset, pairs))
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the loss of friction where the files leave contacts to MuJoCo's own rule, with the pair farthest off."""
+    """Yield the loss of friction if the files leave contacts to MuJoCo's rule, with the pair of largest error."""
     groups = written_groups(geoms)[1] if exact else unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):
         return
     a, b = (geoms[0].surface.friction for geoms in (worst.one, worst.other))
-    rule = f"MuJoCo takes the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
+    rule = f"MuJoCo uses the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
     reason = f"{rule}, where the scene has {worst.contact.friction:.3g}."
     if exact:
         count = sum(len(group.one) * len(group.other) for group in groups)

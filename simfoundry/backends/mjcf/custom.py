@@ -1,11 +1,12 @@
-"""Custom texts and numbers for what MJCF has no element for: ``simfoundry import`` reads them back.
+"""Custom texts and numbers for data that has no MJCF element; ``simfoundry import`` reads them back.
 
-A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
-the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
-``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cabinet.door:closed`` the limit, `lower` or
-`upper`, at which a joint is closed; ``sky:dome`` the color of a dome light times its intensity; ``arm:robot`` the
-fields of a robot in JSON, and ``wrist:mount`` the frame that a camera is mounted on, where that is a site ``arm.hand``.
-``simfoundry:robots`` names the bodies of all robots, whose contacts are their own.
+Names that contain a colon are ours, because names in a scene never do. ``cabinet:root`` names the root link,
+``cabinet.grip:joint`` the fixed joint that holds a link, ``cabinet.lid:parent`` the link relative to which a free joint
+measures its motion, and ``cabinet.lid:zero`` its zero pose (position [m], quaternion wxyz). ``cabinet.door:closed`` is
+the limit, `lower` or `upper`, at which a joint is closed. ``sky:dome`` is the color of a dome light times its
+intensity. ``arm:robot`` holds the fields of a robot in JSON, and ``wrist:mount`` the frame on which a camera is mounted
+if that frame is a site such as ``arm.hand``. ``simfoundry:robots`` lists the bodies of all robots, whose contacts are
+not changed.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from simfoundry.scene.model import JointType, LightType, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 
 MARK = "simfoundry:scene"
-"""The text that a file of ours starts with; its data is the version of what stands here."""
+"""The text that marks a file as written by this backend; its data is the version of this format."""
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:
-    """Add ``<custom>``: categories, labels, the stated relations, and the names that MJCF has no elements for."""
+    """Add ``<custom>``: categories, labels, stated relations, and names for which MJCF has no element."""
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
     for item in scene.objects:

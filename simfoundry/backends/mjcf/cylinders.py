@@ -1,4 +1,4 @@
-"""Cylinders as prisms, for readers of MJCF that collide primitives and convex meshes but no cylinders."""
+"""Conversion of cylinders to prisms, for MJCF readers without cylinder collisions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.scene.model import Collider, Link, Scene
 
 
 def with_prisms(scene: Scene, sides: int) -> Scene:
-    """The scene with a prism in the place of every cylinder that collides."""
+    """Return the scene with each colliding cylinder replaced by a prism."""
 
     def link_with(link: Link) -> Link:
         return replace(link, colliders=tuple(_collider_with(c, sides) for c in link.colliders))
@@ -31,7 +31,7 @@ def _collider_with(collider: Collider, sides: int) -> Collider:
 
 
 def prism(cylinder: Cylinder, sides: int) -> Mesh:
-    """A regular prism of the same height and volume."""
+    """Return a regular prism with the height and volume of the cylinder."""
     turn = 2 * math.pi / sides
     radius = cylinder.radius * math.sqrt(turn / math.sin(turn))
     angles = turn * np.arange(sides)
@@ -50,7 +50,7 @@ def prism(cylinder: Cylinder, sides: int) -> Mesh:
 
 
 def prism_losses(scene: Scene, sides: int) -> Iterator[Loss]:
-    """One loss for each object with cylinders that collide."""
+    """Yield one loss for each object with colliding cylinders."""
     turn = 2 * math.pi / sides
     share = max(math.sqrt(turn / math.sin(turn)) - 1, 1 - math.cos(turn / 2) * math.sqrt(turn / math.sin(turn)))
     for item in scene.objects:

@@ -9,28 +9,32 @@ from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.model import Scene
 
 FEATURES: dict[str, SupportCell] = {
-    "robots": SupportCell(reason="A robot's own MJCF, else its URDF as MuJoCo reads it, with hulls as colliders."),
+    "robots": SupportCell(
+        reason="A robot's own MJCF, else its URDF as read by MuJoCo, with convex hulls as colliders."
+    ),
     "robot_motors": SupportCell(reason="A model without actuators gets a stiff servo in each joint."),
-    "robot_contacts": approximated("As in the robot's file; against the scene's, MuJoCo takes the larger friction."),
+    "robot_contacts": approximated(
+        "As in the robot's file; in contacts with the scene, MuJoCo uses the larger friction."
+    ),
     **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
-    "dome_lights": approximated("Its color lights everything alike, without shading."),
-    "background_splat": dropped("MuJoCo draws surfaces only."),
+    "dome_lights": approximated("Its color lights all surfaces equally, without shading."),
+    "background_splat": dropped("MuJoCo renders surfaces only."),
     **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
     "variants": dropped("A file holds one variant."),
     **exact("box", "sphere", "cylinder", "capsule", "convex_mesh", "friction"),
-    "restitution": approximated("A rebound is within 0.03 of it, but never below 0.10 to 0.14."),
+    "restitution": approximated("The rebound is within 0.03 of the coefficient, but never below 0.10 to 0.14."),
     **exact("torsional_friction", "rolling_friction", "no_contact"),
     **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
     **exact("ball", "free", "mimic"),
-    "drive": SupportCell(reason="Exact up to the stiffness that its steps can carry."),
+    "drive": SupportCell(reason="Exact up to the stiffness that is stable at the timestep."),
 }
 """The fidelity of each feature in MJCF."""
 
 
 def restitution_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss for each object that bounces, and one for all that should not and do a little."""
-    reason = "MuJoCo has no restitution; a contact is damped to rebound within 0.03 of it, but never below 0.14."
+    reason = "MuJoCo has no restitution; contact damping makes rebounds within 0.03 of it, but never below 0.14."
     bouncing = {o.name: [c.restitution for link in o.links for c in link.colliders] for o in scene.objects}
     yield from (approximate("restitution", name, reason, 0.03) for name, values in bouncing.items() if any(values))
     if any(e == 0 for values in bouncing.values() for e in values):

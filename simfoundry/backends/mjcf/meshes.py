@@ -1,4 +1,4 @@
-"""The assets of an MJCF file: meshes, textures and materials, each once, named after the first geom that uses it."""
+"""The assets of an MJCF file: meshes, textures and materials, each stored once and named after its first user."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.scene.meshfile import obj_bytes
 
 
 class Assets:
-    """The ``<asset>`` element as it fills, and the files that it names by file name."""
+    """The ``<asset>`` element under construction, and the files that it refers to, by file name."""
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
@@ -21,19 +21,20 @@ class Assets:
         self._taken: set[str] = set()
 
     def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
-        """Return the name of the mesh asset that holds ``mesh``; a new one is called like ``wish``."""
+        """Return the name of the asset for ``mesh``; a new asset is named after ``wish``."""
         key = (mesh.digest, collides)
         if key not in self._names:
             name = self._names[key] = self._new_name(wish, numbered=collides)
             file = self._names.get((mesh.digest, not collides), name)
-            # Visual meshes may be open or flat, of which MuJoCo can weigh only the surface; it needs neither.
+            # Visual meshes may be open or flat; for those, MuJoCo can compute the mass only from the surface. It needs
+            # neither.
             inertia = "convex" if collides else "shell"
             ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]
 
     def material(self, png: bytes, rgba: Array, wish: str) -> str:
-        """Return the name of the material that shows a texture multiplied by a color."""
+        """Return the name of the material with a texture multiplied by a color."""
         tint = numbers(rgba)
         if (png, tint) not in self._names:
             if png not in self._names:
@@ -45,7 +46,7 @@ class Assets:
         return self._names[png, tint]
 
     def _new_name(self, wish: str, numbered: bool = False) -> str:
-        """Return ``wish`` as a file name, with a number behind it if it is taken, or always if it is ``numbered``."""
+        """Return ``wish`` as a file name, with a number appended if it is taken or if ``numbered`` is set."""
         plain = wish.replace(".", "_").replace(":", "_").strip("_")
         while True:
             k = self._counts[plain] = self._counts.get(plain, -1) + 1

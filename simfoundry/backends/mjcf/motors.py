@@ -1,4 +1,4 @@
-"""Joints that follow others, as equalities, and drives, as actuators."""
+"""Mimic joints as equality constraints, and drives as actuators."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.scene.model import Drive, Joint, Scene
 
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
-"""The stiffness of a mimic joint: the time constant is two steps, which is the least that is stable."""
+"""The stiffness of a mimic joint; the time constant is two time steps, the smallest stable value."""
 
 
 def add_mimics(root: ET.Element, scene: Scene) -> None:
-    """Add ``<equality>`` with one entry, called ``object.joint``, for each joint that follows another.
+    """Add ``<equality>`` with one entry, named ``object.joint``, for each mimic joint.
 
-    MuJoCo's polynomial is of the deviations from the initial configuration of the model, in which all joints are at 0.
+    MuJoCo's polynomial applies to deviations from the model's initial configuration, in which all joints are at 0.
     """
     followers = [(o.name, j, j.mimic) for o in scene.objects for j in o.joints if j.mimic is not None]
     if not followers:
@@ -29,9 +29,9 @@ def add_mimics(root: ET.Element, scene: Scene) -> None:
 
 
 def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
-    """Add ``<actuator>`` with one entry, called ``object.joint``, for each drive; returns the initial ``ctrl``.
+    """Add ``<actuator>`` with one entry, named ``object.joint``, for each drive; return the initial ``ctrl``.
 
-    Its control is the target of the drive, within the limits of the joint. ``timestep`` [s] bounds the stiffness.
+    The control is the target of the drive, within the limits of the joint. ``timestep`` [s] bounds the stiffness.
     """
     driven: list[tuple[str, Joint, Drive]] = []
     for item in scene.objects:
@@ -47,7 +47,7 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
 
 
 def _spring(joint: Joint, drive: Drive) -> dict[str, str]:
-    """MuJoCo's gain and bias of a spring with a damper: ``stiffness * (ctrl - q) - damping * v``."""
+    """Return MuJoCo's gain and bias of a spring and damper: ``stiffness * (ctrl - q) - damping * v``."""
     attributes = {
         "biastype": "affine",
         "gainprm": number(drive.stiffness),

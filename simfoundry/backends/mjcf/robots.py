@@ -1,7 +1,7 @@
-"""Robots in MJCF: their own model below a body of their name, and the cameras that ride on links.
+"""Robots in MJCF: their own models, each below a body with the robot's name, and cameras mounted on links.
 
-The scene's options stand, whatever the robot's file says; contacts of the robot are as its file has them,
-but for the stiffness of those of its fingers.
+The options of the scene override those of the robot's file. The contacts of a robot are those of its file, except for
+the stiffness of the finger contacts.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, Robot, mujoco_model
 
 _SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality", "actuator", "sensor")
-"""What a robot's file adds to the scene's beside bodies and defaults."""
+"""The sections of a robot's file that are merged into the scene, besides bodies and defaults."""
 
 _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
-"""MuJoCo's own impedance of joint friction: the scene's default is stiffer, and classes inherit it."""
+"""MuJoCo's default impedance of joint friction; the scene's default is stiffer, and classes inherit it."""
 
 
 _FINGERS = "1000"
-"""The weight of a finger's stiffness in a contact, beside the 1 of anything else."""
+"""The weight of a finger's stiffness in a contact; all other geoms have weight 1."""
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
-    """Add a robot with all that its file holds; None where it has no model that MuJoCo reads.
+    """Add a robot and all elements of its file; return None if MuJoCo cannot read any of its models.
 
-    The contacts of its fingers are as firm as steps of ``timestep`` [s] allow.
+    The finger contacts are as stiff as a time step of ``timestep`` [s] permits.
     """
     native = mujoco_model(robot)
     if native is None:
@@ -57,12 +57,12 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -
 
 
 def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
-    """Let what the fingers hold follow them as firmly as MuJoCo can.
+    """Make the finger contacts stiff, so that a grasped object follows the fingers closely.
 
-    The constraint solver takes the servos' damping as it is at the start of a step, the integrator at its end. What is
-    held feels the difference at each jerk of the arm and creeps by it times the contact's time constant: at MuJoCo's
-    20 ms a marker crept 8 mm in the hand on 10 cm of way, at 4 ms 2 mm. The weight makes the contact the fingers' own;
-    its friction stays the larger of the two.
+    The constraint solver uses the servo damping at the start of a step, the integrator that at the end. A grasped
+    object is affected by the difference at each jerk of the arm, and creeps by the difference times the time constant
+    of the contact: at MuJoCo's 20 ms a marker crept 8 mm in the hand over a motion of 10 cm, at 4 ms it crept 2 mm. The
+    weight makes the fingers' stiffness dominate the contact; the friction is still the larger of the two.
     """
     gripper = read.native.gripper
     if gripper is None:
@@ -76,12 +76,12 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
 
 
 def _firm(timestep: float) -> float:
-    """The time constant of the fingers' contacts [s]: two steps, the least that MuJoCo can."""
+    """Return the time constant of the finger contacts [s]: two time steps, MuJoCo's minimum."""
     return 2 * timestep
 
 
 def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
-    """Write poses, masses and limits with all their digits; MuJoCo's writer keeps six."""
+    """Write poses, masses and limits with full precision; MuJoCo's writer keeps only six digits."""
     model = read.model
     for body in base.iterfind(".//body"):
         k = model.body(body.get("name")).id
@@ -107,7 +107,7 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
 
 
 def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
-    """The robot's classes, below one that takes back what the scene's own defaults would add to its joints."""
+    """Add the robot's classes below a class that resets the scene's joint defaults."""
     for group in source.findall("default/default"):
         joint = group.find("joint")
         if joint is None:
@@ -115,7 +115,7 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
             group.insert(0, joint)
         joint.set("solimpfriction", joint.get("solimpfriction", _JOINT_FRICTION))
         _section(root, "default").append(group)
-    for joint in source.findall("worldbody//joint"):  # a joint without a class would have the scene's
+    for joint in source.findall("worldbody//joint"):  # a joint without a class would inherit the scene's defaults
         if joint.get("class") is None and not _has_class(source, joint):
             joint.set("class", f"{name}.main")
 
@@ -130,7 +130,7 @@ def _body(base: ET.Element, name: str) -> ET.Element:
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
-    """Add each mounted camera to the body of its link, where that is in the scene."""
+    """Add each mounted camera to the body of its link if that body is in the scene."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
         robot = robots.get(mounted.carrier)
@@ -147,24 +147,24 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
             camera = replace(mounted.camera, X_WC=frame.X_LF @ mounted.camera.X_WC) if mounted.link else mounted.camera
         body = next((b for b in world.iter("body") if b.get("name") == name), None)
         if body is None:
-            raise RobotModelError(f"camera `{mounted.camera.name}` is mounted on `{name}`, which is not there")
+            raise RobotModelError(f"camera `{mounted.camera.name}` is mounted on `{name}`, which does not exist")
         add_camera(body, camera)
 
 
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
     """Yield the losses of a robot in MuJoCo at steps of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "No MJCF of it is known; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
+        reason = "It has no MJCF; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
         yield approximate("robots", robot.name, reason)
     if read.servos:
         reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
         yield approximate("robot_motors", robot.name, reason)
-    reason = "Its surfaces are those of its file; against the scene's, MuJoCo takes the larger friction."
+    reason = "It has the friction of its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
         firm = 1000 * _firm(timestep)
         reason = (
-            f"The contacts of its fingers settle within {firm:g} ms, whatever its file says; at MuJoCo's usual 20 ms "
-            "what they hold creeps."
+            f"The contacts of its fingers have a time constant of {firm:g} ms instead of the value in its file; "
+            "at MuJoCo's default of 20 ms, a grasped object creeps."
         )
         yield approximate("robot_contacts", robot.name, reason, firm, "ms")

@@ -16,11 +16,11 @@ OPENCV_FROM_OPENGL = Pose.of(q=[0.0, 1.0, 0.0, 0.0])
 """Half a turn about x, between camera axes x right, y down, z forward and x right, y up, z backward."""
 
 _HALF_PIXEL = 0.5
-"""In the scene the middle of the first pixel is (0, 0); MuJoCo measures from the corner of the picture."""
+"""In a scene, the center of the first pixel is (0, 0); MuJoCo measures from the corner of the image."""
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:
-    """Add a camera with its exact intrinsics; MuJoCo's principal point counts from the middle, leftwards and up."""
+    """Add a camera with exact intrinsics; MuJoCo measures the principal point from the image center, left and up."""
     X_WG = camera.X_WC @ OPENCV_FROM_OPENGL
     principal = (camera.width / 2 - (camera.cx + _HALF_PIXEL), camera.height / 2 - (camera.cy + _HALF_PIXEL))
     attributes = {
@@ -28,7 +28,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
         "pos": numbers(X_WG.p),
         "quat": numbers(X_WG.q),
         "resolution": f"{camera.width} {camera.height}",
-        # Any sensor of the picture's shape will do; one micrometre a pixel keeps the numbers readable.
+        # Any sensor with the aspect ratio of the image would do; one micrometer per pixel keeps the numbers readable.
         "sensorsize": numbers([camera.width * 1e-6, camera.height * 1e-6]),
         "focalpixel": numbers([camera.fx, camera.fy]),
         "principalpixel": numbers(principal),
@@ -37,7 +37,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
 
 
 def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
-    """Add the lights that have a place or a direction; they are Lambertian, without highlights or falling off."""
+    """Add the lights that have a position or direction; they are Lambertian, without highlights or attenuation."""
     for light in lights:
         if light.type is LightType.DOME:
             continue
@@ -57,7 +57,7 @@ def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
 
 
 def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
-    """Attributes of MuJoCo's own light at the viewer: the sum of the domes; None where the scene has no lights."""
+    """Return MuJoCo's headlight attributes, the sum of all dome lights; None if the scene has no lights."""
     if not lights:
         return None
     domes: list[Array] = [light.intensity * light.rgb for light in lights if light.type is LightType.DOME]
@@ -66,5 +66,5 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss for each dome light."""
-    reason = "MuJoCo has no dome lights; its color lights everything alike, without shading."
+    reason = "MuJoCo has no dome lights; its color lights all surfaces equally, without shading."
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)

@@ -1,8 +1,8 @@
-"""PyBullet: URDFs, ``world.json`` with what URDF lacks, and a loader.
+"""PyBullet: URDFs, a loader, and ``world.json`` with data that URDF cannot represent.
 
-A link has one friction, however many colliders it has; see :mod:`simfoundry.backends.pybullet.surfaces`. Bullet puts a
-skin around convex meshes that no setting removes; they are written smaller by that much, so that their faces are where
-they belong.
+A link has one friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`. Bullet
+adds a margin around convex meshes that cannot be disabled; the meshes are shrunk by this margin so that their effective
+faces are in the correct place.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from simfoundry.scene.touching import contact_pairs
 from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
-"""Seconds per step: half of Bullet's own default, as in the other targets, so that one behaviour is compared."""
+"""Time step [s]: half of Bullet's default and equal to the other targets, so that behaviors are comparable."""
 
 BACKGROUND = "_background.urdf"
-"""The file of the background; no object has such a name."""
+"""The file of the background; no object can have this name."""
 
 _LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
-    """Compile a scene for PyBullet that steps by ``timestep`` [s]; InvalidSceneError for unusable names."""
+    """Compile a scene for PyBullet with time step ``timestep`` [s]; raise InvalidSceneError for invalid names."""
     check_names(scene)
     dialect = Dialect(visual=whole, collision=split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
@@ -78,7 +78,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
 
 
 def _body(tree: Tree, resistances: Resistances, timestep: float) -> dict[str, object]:
-    """Return one body of Bullet: an object, or a part of one that moves freely; empty keys are left out."""
+    """Return the entry of one Bullet body, an object or a freely moving part of one; empty keys are omitted."""
     item = tree.owner
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     body: dict[str, object] = {
@@ -92,7 +92,7 @@ def _body(tree: Tree, resistances: Resistances, timestep: float) -> dict[str, ob
 
 
 def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[str, object]:
-    """Return the motions and contacts of the links of one body."""
+    """Return the joint motions and link contacts of one body."""
     item = tree.owner
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
     touching = any(names.issuperset(pair) for pair in contact_pairs(item))

@@ -17,27 +17,29 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import LightType, Link, Scene, SceneObject
 
 _LIGHTS = {
-    LightType.DISTANT: "PyBullet's surfaces respond to a light in their own way: brightness differs, shadows are soft.",
-    LightType.POINT: "PyBullet casts parallel rays from its position towards the origin, and they do not spread.",
-    LightType.DOME: "PyBullet adds its mean, without its color, to the light that every surface reflects.",
+    LightType.DISTANT: "PyBullet shades surfaces with its own model: brightness differs, and shadows are soft.",
+    LightType.POINT: "PyBullet replaces it with parallel rays from its position towards the origin.",
+    LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
 }
-_MIXED = "It is mixed with the sliding friction, one number per link."
+_MIXED = "It is combined with the sliding friction, with one value per link."
 
 FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
-    "robot_motors": approximated("Converted ones lag as in MuJoCo and do not sag; a URDF's hold with all their force."),
-    "robot_contacts": approximated("A converted robot grips as in MuJoCo where the scene's frictions are equal."),
-    "mounted_cameras": dropped("Cameras in its files stand still."),
+    "robot_motors": approximated(
+        "Converted motors lag as in MuJoCo but do not sag; those of a URDF hold with full force."
+    ),
+    "robot_contacts": approximated("A converted robot grips as in MuJoCo if all frictions in the scene are equal."),
+    "mounted_cameras": dropped("Cameras in PyBullet's files are static."),
     **exact("gravity", "relations", "cameras", "background_mesh"),
-    "distant_lights": approximated("A picture has one light, the first; its brightness differs."),
-    "point_lights": approximated("A picture has one light, the first, as parallel rays."),
-    "dome_lights": approximated("Their mean, without color, lights everything alike."),
-    "background_splat": dropped("PyBullet draws surfaces only."),
+    "distant_lights": approximated("Images have one light, the first; its brightness differs."),
+    "point_lights": approximated("Images have one light, the first, with parallel rays."),
+    "dome_lights": approximated("Their mean, without color, lights all surfaces equally."),
+    "background_splat": dropped("PyBullet renders surfaces only."),
     **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
     "variants": dropped("A world holds one variant."),
     **exact("box", "sphere", "cylinder", "capsule"),
     "convex_mesh": approximated("Bullet's skin rounds edges by 1 mm."),
-    "friction": approximated("It is up to 9 % less between its two axes."),
+    "friction": approximated("It is up to 9 % lower between the two friction axes."),
     "restitution": approximated("A rebound differs by up to 0.15."),
     "torsional_friction": approximated(_MIXED),
     "rolling_friction": approximated(_MIXED),
@@ -46,19 +48,21 @@ FEATURES: dict[str, SupportCell] = {
     **exact("joint_damping", "joint_friction"),
     "armature": dropped("URDF has no rotor inertia."),
     **exact("ball", "free", "mimic"),
-    "drive": SupportCell(reason="Exact up to the stiffness that its steps can carry."),
+    "drive": SupportCell(reason="Exact up to the stiffness that is stable at the timestep."),
 }
 """The fidelity of each feature in PyBullet."""
 
 
 def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> Iterator[Loss]:
-    """Yield the losses of a scene in PyBullet at steps of ``timestep`` [s], but for those of its robots."""
+    """Yield the losses of a scene in PyBullet at steps of ``timestep`` [s], except those of its robots."""
     colliders = [collider for item in scene.objects for link in item.links for collider in link.colliders]
     if any(collider.friction > 0 for collider in colliders):
-        reason = "Bullet's friction depends on the direction: it is up to 9 % below Coulomb's between its two axes."
+        reason = (
+            "Bullet's friction depends on the direction: it is up to 9 % below Coulomb's between the two friction axes."
+        )
         yield approximate("friction", "", reason, 9, "%")
     if any(collider.restitution > 0 for collider in colliders):
-        reason = "Bullet resolves an impact at whole steps: a rebound differs from the coefficient by up to 0.15."
+        reason = "Bullet resolves impacts at step boundaries: a rebound differs from the coefficient by up to 0.15."
         yield approximate("restitution", "", reason, 0.15)
     for field, found in resistances.items():
         if found.error > 1e-9:  # the rounding of a product
@@ -81,7 +85,7 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
         if light is main or light.type is LightType.DOME:
             yield approximate(feature, light.name, _LIGHTS[light.type])
         else:
-            yield drop(feature, light.name, "A picture of PyBullet has one light, and the first one is used.")
+            yield drop(feature, light.name, "PyBullet renders with one light; the first one is used.")
     yield from splat_losses(scene, "PyBullet")
     yield from variant_losses(scene, "PyBullet")
 
@@ -91,5 +95,5 @@ def _surface_losses(item: SceneObject, link: Link) -> Iterator[Loss]:
         values = sorted({getattr(collider, field) for collider in link.colliders})
         if len(values) > 1:
             span = ", ".join(number(v) for v in values)
-            reason = f"Bullet has one {field} per link: {number(round(value, 4))} stands for {span}."
+            reason = f"Bullet has one {field} per link: {number(round(value, 4))} replaces {span}."
             yield approximate(field, item.qualified(link.name), reason, max(abs(v - value) for v in values))

@@ -1,4 +1,4 @@
-"""Convex meshes shrunk by the skin that Bullet adds around them."""
+"""Convex meshes shrunk by the collision margin that Bullet adds around them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Geometry, Mesh
 
 SKIN = 1e-3
-"""Thickness of the skin that Bullet puts around a convex mesh from a URDF [m]; no setting removes it."""
+"""Collision margin that Bullet adds around a convex mesh from a URDF [m]; it cannot be disabled."""
 
 
 def split_under_skin() -> Split:
-    """Return a split that shrinks each mesh so that Bullet's skin restores it; one too thin for that stays."""
+    """Return a split that shrinks each mesh by Bullet's margin; a mesh too thin to shrink is unchanged."""
     done: dict[str, Mesh] = {}
 
     def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
@@ -30,9 +30,9 @@ def split_under_skin() -> Split:
 
 
 def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
-    """Return the convex hull of a mesh with every face moved inwards by ``distance`` [m]; None where it is too thin.
+    """Return the convex hull of a mesh with every face moved inward by ``distance`` [m]; None if it is too thin.
 
-    Under a skin of the same thickness, faces are back in their places and edges are rounded.
+    With a margin of the same size, the faces are in their original places and the edges are rounded.
     """
     from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
@@ -51,7 +51,7 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
 
 
 def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
-    """Return a point at least ``depth`` [m] below every plane: the guess, if it is one, else the deepest."""
+    """Return a point at least ``depth`` [m] below every plane: the guess if it qualifies, else the deepest point."""
     from scipy.optimize import linprog
 
     if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
@@ -64,7 +64,7 @@ def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
 
 
 def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
-    """Return the triangles counter-clockwise as seen from outside, int32, shape (m, 3)."""
+    """Return the triangles in counter-clockwise order as seen from outside, int32, shape (m, 3)."""
     a, b, c = (points[simplices[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
     faces = simplices.astype(np.int32)

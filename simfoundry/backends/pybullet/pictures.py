@@ -11,11 +11,12 @@ from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Camera, Light, LightType
 
 NEAR, FAR = 0.01, 100.0
-"""Clipping distances of the cameras [m]: a wrist camera sees its own fingers from 2 cm, and no room is larger."""
+"""Near and far clipping distances of the cameras [m]: a wrist camera sees its own fingers at 2 cm; no room is
+larger."""
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
-    """Return size, view and projection; both matrices column by column, as OpenGL wants them."""
+    """Return the image size, view matrix and projection matrix; both matrices are column-major, as in OpenGL."""
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     view = flip @ camera.X_WC.inverse().matrix
     return {
@@ -27,7 +28,7 @@ def camera_arguments(camera: Camera) -> dict[str, object]:
 
 
 def projection_matrix(camera: Camera) -> Array:
-    """Return OpenGL's projection of a pinhole camera, shape (4, 4); the middle of the first pixel is (0, 0)."""
+    """Return OpenGL's projection matrix of a pinhole camera, shape (4, 4); the center of the first pixel is (0, 0)."""
     left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
     top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
     return np.array(
@@ -41,7 +42,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
-    """Return the light of a picture and the sum of the domes; nothing for a scene without lights."""
+    """Return the light of an image and the sum of the dome lights; empty for a scene without lights."""
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
@@ -55,5 +56,5 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
 
 
 def main_light(lights: tuple[Light, ...]) -> Light | None:
-    """Return the one light of PyBullet's pictures: the first that is no dome."""
+    """Return the only light that PyBullet can render: the first one that is not a dome."""
     return next((light for light in lights if light.type is not LightType.DOME), None)

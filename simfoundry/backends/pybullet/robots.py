@@ -1,4 +1,4 @@
-"""Robots in PyBullet: their URDF, and the motors, surfaces and frames that ``world.json`` adds to it."""
+"""Robots in PyBullet: URDFs, and the motors, surfaces and frames that ``world.json`` adds to them."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import JointType, Scene, SceneObject
 
 GRASP_ITERATIONS = 200
-"""Iterations of Bullet's solver a step where there are robots. At its own 50 a marker between the pads of a 2F-85
-creeps by up to 2 cm and turns on its way; at 200 by 5 mm, at 500 by 2 mm, for three times the time of 200."""
+"""Solver iterations per step for scenes with robots. With Bullet's default of 50, a marker between the pads of a 2F-85
+creeps by up to 2 cm and rotates during a motion; with 200 it creeps by 5 mm, with 500 by 2 mm in three times the
+time."""
 
 _GRIPS = {
-    False: "Its surfaces are those of its file, and Bullet multiplies them with the roots of the scene's.",
-    True: "It grips as in MuJoCo, which takes the larger friction; where the scene's differ, by a value between them.",
+    False: "It has the friction of its file, which Bullet multiplies with the square roots of the scene's.",
+    True: "It grips as in MuJoCo, which uses the larger friction; if the scene's differ, with a value between them.",
 }
 _MOTORS = {
-    False: "A motor of Bullet holds its joint with all its force, whatever the gains in the robot's file.",
-    True: "An arm follows with the lag of its gains, but does not sag; rotors are discs in the links that they turn.",
+    False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as discs.",
 }
-"""The losses of a robot's surfaces and motors, by whether it was converted from its MJCF."""
+"""The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
-    """Return the robots of a scene as URDF by name, and the losses of them and of the mounted cameras."""
+    """Return the robots of a scene as URDFs by name, and the losses of robots and mounted cameras."""
     robots, losses = {}, []
     for robot in scene.robots:
         found = robot_urdf(robot, write)
@@ -42,13 +43,13 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
         losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
     for mounted in scene.mounted:
-        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files stand still."
+        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
         losses.append(drop("mounted_cameras", mounted.camera.name, reason))
     return robots, losses
 
 
 def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, object]:
-    """Return the entry of a robot in ``world.json``: its pose, its motors, and the joints that follow others."""
+    """Return the entry of a robot in ``world.json``: its pose, motors and mimic joints."""
     motors = {
         name: {"target": rounded(position), "force": rounded(robot.efforts[name])} | _servo(robot, name, timestep)
         for name, position in robot.positions.items()
@@ -69,11 +70,12 @@ def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, ob
 
 
 def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
-    """Return the gains of a servo for Bullet, whose motors are constraints on the speed; none where they are unknown.
+    """Return the gains of a servo for Bullet, whose motors are velocity constraints; empty if they are unknown.
 
-    A spring with a damper moves a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
-    error`` in a step of ``timestep`` [s], with whatever force that needs. The joints of a gripper keep their stiffness:
-    the loader's ``press`` bounds their force with it. An arm's do not sag, so that bound would only let them swing.
+    A spring and damper move a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
+    error`` in a step of ``timestep`` [s], with any force that this requires. Gripper joints keep their stiffness,
+    because the loader's ``press`` bounds their force with it. Arm joints do not sag, so this bound would only make them
+    oscillate.
     """
     if joint not in robot.servos:
         return {}
@@ -84,12 +86,12 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
 
 
 def with_rotors(item: SceneObject) -> SceneObject:
-    """Return the object with the armature of each turning joint in the inertia of the link below it.
+    """Return the object with the armature of each rotating joint added to the inertia of the link below it.
 
-    Geared motors make most of the inertia of a finger, up to a thousand times that of its links. Bullet solves contacts
-    by impulses, a few dozen a step, each as large as the inertia of what it pushes: bare fingers, 1e-5 kg m^2, press
-    with a hundredth of their motor's force. A rotor is added as a thin disc, half its inertia across its axis, because
-    Bullet takes an inertia that no body has for none at all.
+    Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
+    contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
+    would press with a hundredth of their motor's force. A rotor is added as a thin disc, with half its inertia about
+    the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
     rotors = {
         joint.child: joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))

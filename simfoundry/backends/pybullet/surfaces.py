@@ -1,11 +1,11 @@
-"""Surfaces in Bullet: one friction, one restitution and one resistance per link, however many colliders it has.
+"""Surfaces in Bullet: one friction, one restitution and one resistance per link, for all of its colliders.
 
-Bullet multiplies the frictions and restitutions of two bodies; each link therefore has the square root of its own, and
-a pair the geometric mean of both.
+Bullet multiplies the friction and restitution of two bodies; each link therefore has the square root of its own value,
+which gives a pair the geometric mean.
 
-Against spinning and rolling, a pair of Bullet's resists with the coefficient of each times the sliding friction of the
-other, summed; the scene's with the larger of the two. Where a link that resists meets links of one friction only, one
-number makes that exact. Where it meets several, the number lies in the middle, and :class:`Resistance` has the error.
+For spinning and rolling, Bullet's resistance of a pair is the sum of each link's coefficient times the sliding friction
+of the other link; the scene uses the larger of the two. If a resisting link only meets links with one friction, a
+single number is exact. If it meets several, a middle value is used, and :class:`Resistance` states the error.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 @dataclass(frozen=True)
 class Resistance:
-    """The number written for each link by qualified name, and the greatest relative error of a pair."""
+    """The value written for each link by qualified name, and the largest relative error of any pair."""
 
     written: dict[str, float]
     error: float
 
 
 Resistances = dict[str, Resistance]
-"""What is written against spinning and rolling, by the field of a collider."""
+"""The resistance to spinning and rolling, by the field of a collider."""
 
 
 @dataclass(frozen=True)
 class _BulletSurface:
-    """A link's sliding friction as Bullet holds it, and the scene's resistance [m]."""
+    """The sliding friction of a link as Bullet stores it, and the scene's resistance [m]."""
 
     friction: float
     resistance: float
 
 
 def link_friction(link: Link) -> float:
-    """Return the one coefficient that stands for all colliders of a link: their geometric mean."""
+    """Return the friction coefficient that represents all colliders of a link: their geometric mean."""
     return _geometric_mean([collider.friction for collider in link.colliders])
 
 
 def link_restitution(link: Link) -> float:
-    """Return the one restitution that stands for all colliders of a link: their geometric mean."""
+    """Return the restitution that represents all colliders of a link: their geometric mean."""
     return _geometric_mean([collider.restitution for collider in link.colliders])
 
 
@@ -56,10 +56,10 @@ def _geometric_mean(values: list[float]) -> float:
 
 
 def robot_friction(link: Link, scene: Scene) -> float:
-    """Return Bullet's friction of a link of a converted robot, so that it grips the scene's objects as in MuJoCo.
+    """Return Bullet's friction for a link of a converted robot, so that its grip matches MuJoCo.
 
-    MuJoCo takes the larger friction of the two, Bullet multiplies this with the square root of the object's: exact
-    where all objects have one friction, in the middle where they have several.
+    MuJoCo uses the larger of the two frictions; Bullet multiplies this value by the square root of the object's. The
+    result is exact if all objects have the same friction, and a middle value if they do not.
     """
     own = link_friction(link)
     met = {link_friction(k) for item in scene.objects for k in item.links if k.colliders} - {0.0}
@@ -80,7 +80,7 @@ def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dic
 
 
 def scene_resistances(scene: Scene) -> Resistances:
-    """Return what is written against spinning and rolling for all links of a scene."""
+    """Return the resistance to spinning and rolling of all links of a scene."""
 
     def of(field: str) -> Resistance:
         return _resistance(scene, lambda link: max(getattr(c, field) for c in link.colliders))
@@ -89,7 +89,7 @@ def scene_resistances(scene: Scene) -> Resistances:
 
 
 def _resistance(scene: Scene, value: Callable[[Link], float]) -> Resistance:
-    """Return what to write for the resistance ``value`` of each link [m]."""
+    """Return the values to write for the resistance ``value`` of each link [m]."""
     links = [(item, link) for item in scene.objects for link in item.links if link.colliders]
     if not any(value(link) for _, link in links):
         return Resistance({}, 0.0)
@@ -106,7 +106,7 @@ def _resistance(scene: Scene, value: Callable[[Link], float]) -> Resistance:
 
 
 def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[float]:
-    """Return the number that is exact for ``a`` with each of the others; each has a share if both resist."""
+    """Return the value that is exact for ``a`` with each of the others; if both resist, each contributes its share."""
     if not a.resistance:
         return []
     return [
@@ -117,11 +117,11 @@ def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[f
 
 
 def _middle(values: list[float]) -> float:
-    """Return the number whose ratio to the least is that of the greatest to it; 0 of none."""
+    """Return the geometric middle of the smallest and the largest value, 0 if there are none."""
     return math.sqrt(min(values) * max(values)) if values else 0.0
 
 
 def _error(a: _BulletSurface, b: _BulletSurface, written: dict[_BulletSurface, float]) -> float:
-    """Return how far Bullet's resistance of a pair is off, relative to the scene's."""
+    """Return the relative error of Bullet's resistance for a pair."""
     found = written[a] * b.friction + written[b] * a.friction
     return abs(found / pair_resistance(a.resistance, b.resistance) - 1)

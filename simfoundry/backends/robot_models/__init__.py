@@ -1,1 +1,1 @@
-"""Robots for every backend: read by MuJoCo, as an object of links and joints, and as URDF."""
+"""Robot models for all backends: read by MuJoCo, converted to an object of links and joints, and written as URDF."""

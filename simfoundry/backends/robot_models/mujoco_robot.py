@@ -1,7 +1,7 @@
-"""Robots as MuJoCo reads them: its own MJCF, or another's URDF, with the meshes named by their content.
+"""Robots as MuJoCo reads them, from MJCF or URDF, with meshes named by their content.
 
-MuJoCo's is the one reader here that knows both formats; what it read is also what is converted for targets that have
-no model of their own.
+MuJoCo is the only reader here that supports both formats; its result is also what gets converted for targets without a
+model in their own format.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     import mujoco
 
 _SERVO_ERROR = 0.005
-"""A servo that we add to a joint without one gives all its force at this error [rad or m]."""
+"""Error at which a servo added to a joint without one reaches its maximum force [rad or m]."""
 
 _EFFORT = 100.0
-"""Force of a servo [N m or N] where the model does not limit it."""
+"""Maximum force of a servo [N m or N] if the model does not limit it."""
 
 _OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="false" meshdir=""/></mujoco>'
 
 
 class RobotModelError(SimfoundryError):
-    """A robot's model that cannot be used; the message names the robot and says what is wrong."""
+    """A robot model that cannot be used; the message names the robot and the problem."""
 
 
 @dataclass(frozen=True, eq=False)
 class MujocoRobot:
     """A robot in MuJoCo: its ``spec``, whose names all start with ``prefix``, compiled as ``model``; its mesh and
-    texture ``files`` by name; the state at the start: ``qpos``, shape (nq,), and ``ctrl``, shape (nu,); the ``servos``
-    that we added."""
+    texture ``files`` by name; the initial state ``qpos``, shape (nq,), and ``ctrl``, shape (nu,); and the ``servos``
+    that were added."""
 
     native: NativeModel
     prefix: str
@@ -54,14 +54,14 @@ class MujocoRobot:
     servos: tuple[str, ...]
 
 
-@lru_cache(maxsize=4)  # every target of a compile reads the same; a Robot is one by its identity
+@lru_cache(maxsize=4)  # all targets of a compile read the same robot; robots compare by identity
 def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
     """Read a robot's MJCF or URDF with the base at the origin. Raises :class:`RobotModelError`."""
 
     files: dict[str, bytes] = {}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a robot's own options give way to the scene's, as is meant
+            warnings.simplefilter("ignore")  # intended: the scene's options override the robot's
             spec, home = _assemble(native, prefix, files)
             spec.assets = files
             model = spec.compile()
@@ -79,8 +79,8 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
 def _assemble(
     native: NativeModel, prefix: str, files: dict[str, bytes]
 ) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
-    """One spec of the model and of those attached to it, below the world's origin; positions and controls of its
-    keyframe ``home``, empty where it has none."""
+    """Return one spec of the model and its attached models below the world origin, and the positions and controls of
+    its keyframe ``home``, empty if there is none."""
     import mujoco
 
     whole = _read(native.file, files)
@@ -89,7 +89,7 @@ def _assemble(
     for part in native.attached:
         carrier = whole.body(part.to)
         if carrier is None:
-            raise ValueError(f"it has no body `{part.to}` to carry {part.file.name}")
+            raise ValueError(f"it has no body `{part.to}` to which {part.file.name} can be attached")
         child = _read(part.file, files)
         _same_options(whole, child)
         frame = carrier.add_frame(pos=part.X_LB.p, quat=part.X_LB.q)
@@ -103,14 +103,14 @@ def _assemble(
 
 
 def _same_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
-    """Give ``target`` the options of ``source``: only then does MuJoCo attach without complaint."""
+    """Copy the options of ``source`` to ``target``; otherwise MuJoCo warns when it attaches models."""
     for name in dir(source.option):
         if not name.startswith("_"):
             setattr(target.option, name, getattr(source.option, name))
 
 
 def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
-    """A model whose meshes and textures are named by their content, and are added to ``files``."""
+    """Read a model; its meshes and textures are renamed by content and added to ``files``."""
     import mujoco
 
     if file.suffix.lower() == ".urdf":
@@ -125,7 +125,7 @@ def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
     for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
         for k, item in enumerate(items):
             item.name = item.name or f"{kind}{k}"
-    for light in list(spec.lights):  # a lamp of the file is no part of the robot
+    for light in list(spec.lights):  # lights in the file are not part of the robot
         spec.delete(light)
     return spec
 
@@ -138,7 +138,7 @@ def _keep(path: Path, files: dict[str, bytes]) -> str:
 
 
 def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
-    """The text of a URDF with its meshes named by content; what MuJoCo cannot read (COLLADA) is not shown."""
+    """Return the text of a URDF with meshes named by content; meshes that MuJoCo cannot read (COLLADA) are omitted."""
     text = file.read_text(encoding="utf-8")
     for name in urdf_meshes(text):
         path = urdf_mesh(file, name)
@@ -151,7 +151,7 @@ def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
 
 
 def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write down each body's mass and inertia as the model has them: the scene's options forbid to guess them."""
+    """Write each body's mass and inertia explicitly, because the scene's options forbid deriving them from geoms."""
     for body in spec.bodies[1:]:
         k = model.body(body.name).id
         if model.body_mass[k] > 0:
@@ -162,7 +162,7 @@ def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str, float]) -> Iterator[str]:
-    """Give every joint of a model without any actuator a position servo; yields their names."""
+    """Add a position servo to every joint of a model that has no actuators; yield their names."""
     import mujoco
 
     if model.nu > 0:
@@ -183,7 +183,7 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
 
 
 def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
-    """Positions at the start: as the scene and the gripper say, else those of the file's ``home``."""
+    """Return the initial positions: those of the scene and the gripper, otherwise those of the keyframe ``home``."""
     import mujoco
 
     qpos = np.array(home)
@@ -204,7 +204,7 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
 def _controls(
     native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray, home: np.ndarray
 ) -> np.ndarray:
-    """Return the controls that hold the initial state: a servo's target is its joint's position, a gripper is open."""
+    """Return the controls that hold the initial state: each servo's target is its joint position; grippers are open."""
     import mujoco
 
     command = native.gripper.command if native.gripper is not None else {}
@@ -222,14 +222,14 @@ def _controls(
 
 
 def xml(read: MujocoRobot) -> str:
-    """The robot's MJCF, in which every name starts with its prefix."""
+    """Return the robot's MJCF, in which every name starts with its prefix."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # said again of every odd mesh
+        warnings.simplefilter("ignore")  # the warnings about meshes would repeat
         return str(read.spec.to_xml())
 
 
 def body_name(read: MujocoRobot, frame: str) -> str:
-    """The body that has a frame of the robot, by its name in the target; raises :class:`RobotModelError`."""
+    """Return the name in the target of the body for a robot frame; raise :class:`RobotModelError` if it is missing."""
     link = read.native.frame(frame).link if frame else root_name(read).removeprefix(read.prefix)
     name = read.prefix + link
     bodies = [body.name for body in read.spec.bodies]
@@ -240,14 +240,14 @@ def body_name(read: MujocoRobot, frame: str) -> str:
 
 
 def root_name(read: MujocoRobot) -> str:
-    """The first body of the robot, by its name in the target."""
+    """Return the name in the target of the robot's first body."""
     return str(read.spec.bodies[1].name)
 
 
 def document_fields(robot: Robot) -> dict[str, object] | None:
-    """Return the fields of a robot in a scene document, but for its pose; None for one known by its files alone.
+    """Return the fields of a robot in a scene document except its pose; None for a robot without a description.
 
-    Written beside the robot's model, they let an import give the robot back, not a machine of links.
+    They are written beside the robot's model so that an import restores the robot instead of an articulated object.
     """
     if robot.kind == FILES_ONLY:
         return None

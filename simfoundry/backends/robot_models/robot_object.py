@@ -1,7 +1,7 @@
-"""A robot as an object of links and joints, for targets that it has no model for.
+"""A robot as an object of links and joints, for targets without a model in their own format.
 
-What MuJoCo has read is written down in the scene's terms: a tree of links with their masses, shapes and joints. Closed
-loops are cut; what they do to the joints is in the robot's ``follow``.
+The model that MuJoCo has read is expressed in the terms of a scene: a tree of links with masses, shapes and joints.
+Closed loops are cut; the robot's ``follow`` describes their effect on the joints.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     import mujoco
 
 _LIGHTEST, _LEAST = 1e-6, 1e-9
-"""Mass [kg] and moments [kg m^2] of a link that has none: most engines refuse zero."""
+"""Mass [kg] and moments of inertia [kg m^2] of a massless link; most engines reject zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotObject:
-    """A robot as an ``item``. ``links`` and ``joints`` map the model's names onto the item's, which have no dots.
+    """A robot as an ``item``. ``links`` and ``joints`` map the model's names to the item's names, which have no dots.
 
-    ``loops`` is how many closed loops were cut.
+    ``loops`` is the number of closed loops that were cut.
     """
 
     item: SceneObject
@@ -45,7 +45,7 @@ class RobotObject:
 
 @lru_cache(maxsize=4)
 def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
-    """The robot, at its pose and in its joint positions. Raises :class:`RobotModelError` for what is no tree."""
+    """Return the robot at its pose and joint positions. Raises :class:`RobotModelError` if it is not a tree."""
     model = read.model
     bodies = _bodies(robot, model)
     names = _names([model.body(b).name.removeprefix(read.prefix) for b in bodies])
@@ -68,20 +68,22 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
         rows.append(replace(one, mimic=mimic, drive=drives.get(name) if mimic is None else None))
     root = bodies[0]
     X_WO = robot.X_WB @ _pose(model.body_pos[root], model.body_quat[root]) if root else robot.X_WB
-    apart = tuple(combinations([link.name for link in links], 2))  # hulls overlap where the meshes do not
+    apart = tuple(
+        combinations([link.name for link in links], 2)
+    )  # the convex hulls may overlap even if the meshes do not
     item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(rows), apart)
     return RobotObject(item, names, joints, loops)
 
 
 def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
-    """The joints of the item by those of the model. Raises :class:`RobotModelError` for what is no tree."""
+    """Return the item's joint names by the model's names. Raises :class:`RobotModelError` if it is not a tree."""
     model = read.model
     moving = (int(model.body_jntadr[b]) for b in _bodies(robot, model) if model.body_jntnum[b])
     return _names([model.joint(j).name.removeprefix(read.prefix) for j in moving])
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
-    """The bodies that become links, parents first: without the world, where it only carries the base."""
+    """Return the bodies that become links, parents first; the world is omitted if it only supports the base."""
     for b in range(model.nbody):
         if model.body_jntnum[b] > 1 or (model.body_jntnum[b] and int(model.jnt_type[model.body_jntadr[b]]) < 2):
             name = model.body(b).name
@@ -92,7 +94,7 @@ def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
 
 
 def _names(given: list[str]) -> dict[str, str]:
-    """Names that a scene allows, by the model's, each once."""
+    """Return unique names that are valid in a scene, by the model's names."""
     names: dict[str, str] = {}
     for k, text in enumerate(given):
         plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_") or f"part{k}"
@@ -108,7 +110,7 @@ def _pose(p: Array, q: Array) -> Pose:
 
 
 def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
-    """A body as a link, its frame moved by ``shift`` [m] to where its joint acts."""
+    """Return a body as a link whose frame is moved by ``shift`` [m] to its joint."""
     mass = max(float(model.body_mass[b]), _LIGHTEST)
     moments = np.maximum(model.body_inertia[b], _LEAST)
     axes = Pose.of(q=model.body_iquat[b]).rotation
@@ -134,7 +136,7 @@ def _rgba(model: mujoco.MjModel, g: int) -> Array:
 
 
 def _geometry(model: mujoco.MjModel, g: int) -> Geometry | None:
-    """The shape of a geom; None for a plane, which no robot has of its own."""
+    """Return the shape of a geom; None for a plane, which is never part of a robot."""
     import mujoco
 
     size, kinds = model.geom_size[g], mujoco.mjtGeom
@@ -184,7 +186,7 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
-    """The actuators that act on one joint each, and those of the gripper on each joint that leads others."""
+    """Return the actuators that drive a single joint, and those of the gripper for each joint that leads others."""
     import mujoco
 
     model, drives = read.model, {}
@@ -202,14 +204,14 @@ def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
 
 
 def _leaders(read: MujocoRobot) -> Iterator[str]:
-    """The gripper's joints that follow no other."""
+    """Yield the gripper's joints that do not follow another joint."""
     gripper = read.native.gripper
     if gripper is not None:
         yield from (name for name in gripper.joints if name not in gripper.follow)
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """Return the joint that each one follows, by the description or else the model's equations, and the loops cut."""
+    """Return the mimic of each joint, from the description or the model's equations, and the number of loops cut."""
     import mujoco
 
     model, gripper = read.model, read.native.gripper

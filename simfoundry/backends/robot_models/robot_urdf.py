@@ -1,4 +1,4 @@
-"""Robots as URDF: their own, copied with its meshes, or converted from their MJCF."""
+"""Robots as URDF: their own URDF copied with its meshes, or a conversion from their MJCF."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, 
 from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 
 Write = Callable[[SceneObject], Mapping[str, bytes]]
-"""Writes an object as ``<name>.urdf`` and the assets that it names."""
+"""Function that writes an object as ``<name>.urdf`` and returns it with its assets."""
 
-CONVERTED = "A robot's own model of this format is used as it is; any other is converted, with hulls and cut loops."
-"""The reason in the tables of all formats but MuJoCo's."""
+CONVERTED = "A robot's own model in this format is used unchanged; any other is converted, with hulls and cut loops."
+"""The reason in the feature tables of all formats except MuJoCo's."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _STRONG = 100.0
-"""Force [N m or N] of a joint whose URDF has no limit of it."""
+"""Maximum force [N m or N] of a joint whose URDF does not state one."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotUrdf:
     """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
 
-    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` are by the URDF's joints, as are the ``servos`` whose
-    gains are known: stiffness [N m/rad or N/m] and damping, the joint's own included. ``joints`` maps the scene's names
-    onto them, ``frames`` the scene's frames onto its links. ``item`` is what it was converted from, if it was.
+    ``positions`` [rad or m], ``efforts`` [N m or N] and ``follow`` are keyed by the URDF's joints. So are the
+    ``servos`` whose gains are known: stiffness [N m/rad or N/m], and damping including that of the joint itself.
+    ``joints`` maps the scene's joint names to the URDF's, ``frames`` maps the scene's frames to its links. ``item`` is
+    the object from which the URDF was converted, if any.
     """
 
     path: str
@@ -52,7 +53,7 @@ class RobotUrdf:
 
 
 def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
-    """The robot as URDF; None where it has neither a URDF nor an MJCF. Raises :class:`RobotModelError`."""
+    """Return the robot as URDF; None if it has neither URDF nor MJCF. Raises :class:`RobotModelError`."""
     native = robot.best(ModelFormat.URDF)
     if native is not None:
         return _native(robot, native)
@@ -106,9 +107,9 @@ def _effort(joint: ET.Element) -> float:
 
 
 def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
-    """A URDF and its meshes below ``robots/``, as they lie relative to one another, and the path of the URDF.
+    """Copy a URDF and its meshes below ``robots/``, preserving their relative layout; also return the URDF's path.
 
-    The URDF names its meshes relative to itself; the rest of its text is its own.
+    Mesh paths in the URDF become relative to it; the rest of the text is unchanged.
     """
     needed = model_files(native.file)
     top = Path(os.path.commonpath([file.parent for file in needed]))
@@ -157,11 +158,11 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
     """Yield the losses of a robot that is converted from its MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"No model of it in this format is known; it is converted from its {kind}, with convex hulls as colliders."
+    reason = f"It has no model in this format; it is converted from its {kind}, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
-        reason = f"{words} cut; the joints follow one another in fixed ratios instead."
+        reason = f"{words} cut; mimic joints with fixed ratios replace them."
         yield approximate("robots", robot.name, reason, loops, "loops")
 
 

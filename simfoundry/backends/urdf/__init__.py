@@ -1,11 +1,11 @@
-"""URDF: one file an object, and ``poses.json`` for what URDF has no place for: poses and joint positions.
+"""URDF: one file per object, and ``poses.json`` for poses and joint positions, which URDF cannot represent.
 
-``physics.json`` holds what simulators know beyond URDF; the loaders for Drake, Genesis and SAPIEN use it.
+``physics.json`` holds further simulation properties; the loaders for Drake, Genesis and SAPIEN use it.
 
-A free object is a robot whose root nothing holds. ``floating`` joints are never written, because PyBullet freezes them
-and Drake loses their poses. An inertial frame has the axes of its link, and the file the products of inertia: some
-readers ignore a rotation of that frame. Link, joint and collider names are the scene's own; the robot's name is the
-object's.
+A free object is a robot whose root is not attached to anything. ``floating`` joints are never written, because PyBullet
+freezes them and Drake loses their poses. An inertial frame has the axes of its link, and the file states the products
+of inertia, because some readers ignore a rotation of that frame. Links, joints and colliders have the names of the
+scene; the robot has the name of the object.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.trees import trees
 
 _LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
-"""The loaders in a build, with the folders of ``targets/`` that they come from."""
+"""The loaders in a build, with the ``targets/`` folder that each comes from."""
 
 
 def compile_urdf(scene: Scene) -> Artifact:
-    """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for unusable names."""
+    """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for invalid names."""
     check_names(scene)
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)

@@ -1,4 +1,4 @@
-"""Objects as URDF: links, joints, geometries, materials; one file for each part that moves freely."""
+"""Objects as URDF: links, joints, geometries and materials, one file for each freely moving part."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, Sc
 from simfoundry.scene.trees import Tree, trees
 
 Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
-"""Splits a geometry into the parts that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
+"""Function that splits a geometry into parts that a dialect supports: a name suffix, the part, and its pose
+``X_GP``."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """The forms in which one reader of URDF wants visual and collision geometries.
+    """The visual and collision geometries that a URDF reader supports.
 
-    ``ball`` is its type of a ball joint; None where it has none, so that the link is welded in its initial pose.
+    ``ball`` is its joint type for a ball joint; if None, the link is welded in its initial pose.
     """
 
     visual: Split
@@ -33,15 +34,15 @@ class Dialect:
 
 
 _TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Rows and columns of an inertia in the order in which URDF's attributes are usually written."""
+"""Rows and columns of the inertia matrix in the usual order of URDF's attributes."""
 
 _EFFORT, _VELOCITY = "1000", "100"
-"""Limits of joints that have none in the scene, as URDF demands some: beyond what a table-top scene reaches [N or N m,
-m/s or rad/s]."""
+"""Limits of joints that have none in the scene, because URDF requires some: beyond the range of a tabletop scene [N or
+N m, m/s or rad/s]."""
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
-    """Return the URDF of every object, one for each part that moves freely, and the assets they share, by path."""
+    """Return the URDF of every object, one for each freely moving part, and the shared assets, by path."""
     files: dict[str, bytes] = {}
     for item in scene.objects:
         written = _WRITTEN.get(item)
@@ -56,11 +57,11 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
 
 
 _WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
-"""The texts that all dialects share, as long as the object lives: most scenes are compiled for two dialects."""
+"""Texts shared by all dialects, kept as long as the object exists; most scenes are compiled for two dialects."""
 
 
 def _is_plain(item: SceneObject) -> bool:
-    """Return true if all dialects write an object alike: no geometry to split, and no ball joint to name."""
+    """Return true if all dialects write an object identically: no geometry to split and no ball joint."""
     shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
     joints = [joint for joint in item.joints if joint.type is JointType.BALL]
     return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
@@ -77,11 +78,11 @@ def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return a URDF of one link in the world frame, visual only, and the assets beyond those ``known``."""
+    """Return a visual-only URDF with one link in the world frame, and its assets except those in ``known``."""
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
-    inertial = ET.SubElement(element, "inertial")  # without one readers invent a mass, and say so on every load
+    inertial = ET.SubElement(element, "inertial")  # without one, readers assume a mass and warn on every load
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
     for visual in background.visuals:
@@ -92,12 +93,12 @@ def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[
 
 
 def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
-    """Yield the geometry itself, for dialects that have capsules."""
+    """Yield the geometry unchanged, for dialects that support capsules."""
     yield "", geometry, IDENTITY
 
 
 def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
-    """Yield the geometry itself, but a capsule, which URDF lacks, as a cylinder and two spheres: the same solid."""
+    """Yield the geometry; a capsule, which URDF lacks, becomes a cylinder and two spheres of the same shape."""
     if not isinstance(geometry, Capsule):
         yield "", geometry, IDENTITY
         return
@@ -130,7 +131,7 @@ def _add_origin(parent: ET.Element, pose: Pose) -> None:
 def _add_shape(
     link: ET.Element, tag: str, name: str, geometry: Geometry, X_LG: Pose, files: dict[str, bytes]
 ) -> ET.Element:
-    """Add a visual or collision element to a link; the assets of a mesh go into ``files``."""
+    """Add a visual or collision element to a link; mesh assets are added to ``files``."""
     shape = ET.SubElement(link, tag, name=name)
     _add_origin(shape, X_LG)
     element = ET.SubElement(shape, "geometry")
@@ -152,7 +153,7 @@ def _add_shape(
 
 
 def _add_material(parent: ET.Element, visual: Visual) -> None:
-    """Add a color and perhaps a texture. Readers share materials by name in a file: the name follows the content."""
+    """Add a color and, if any, a texture. Readers share materials by name, so the name depends on the content."""
     tint = numbers(visual.rgba)
     name = "rgba_" + tint.replace(" ", "_")
     mesh = visual.geometry
@@ -197,7 +198,7 @@ def _limit(joint: Joint) -> dict[str, str]:
 
 
 def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
-    """Return the limits to write; a sliding joint needs some, and without them many readers lock it at zero."""
+    """Return the limits to write; prismatic joints need some, because many readers lock them at zero otherwise."""
     if joint.type is JointType.CONTINUOUS:
         return None
     if joint.type is JointType.PRISMATIC and joint.limits is None:

@@ -17,7 +17,7 @@ UNBOUNDED_M = 1000.0
 _NO_SURFACES = "URDF has no contact friction; the simulator's default applies."
 _NO_CAMERAS = "URDF has no cameras; add one in the simulator."
 _NO_LIGHTS = "URDF has no lights; the simulator's own are used."
-_NO_WORLD = "URDF describes single objects; nothing holds what surrounds them."
+_NO_WORLD = "URDF describes single objects, not their surroundings."
 _NO_RELATIONS = "URDF describes single objects, not the relations among them."
 _NO_GRAVITY = "URDF has no world settings; set gravity in the simulator."
 _NO_RESTITUTION = "URDF has no restitution; the simulator's default applies."
@@ -59,7 +59,7 @@ FEATURES: dict[str, SupportCell] = {
 
 
 def urdf_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses of a scene as URDF, but for those of its robots."""
+    """Yield the losses of a scene as URDF, except those of its robots."""
     yield drop("gravity", "", _NO_GRAVITY)
     for item in scene.objects:
         yield from _surface_losses(item)
@@ -106,11 +106,11 @@ def _surface_losses(item: SceneObject) -> Iterator[Loss]:
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:
-    """Yield what the joints of an object lose in any dialect of URDF: armature, and sliding without limits."""
+    """Yield what the joints of an object lose in any dialect of URDF: armature, and prismatic joints without limits."""
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:
-            reason = f"URDF demands limits of a sliding joint; {number(UNBOUNDED_M)} m either way stand for none."
+            reason = f"URDF requires limits for prismatic joints; {number(UNBOUNDED_M)} m both ways replace them."
             yield approximate("joint_limits", element, reason, UNBOUNDED_M, "m")
         if joint.armature > 0:
             yield drop("armature", element, _NO_ARMATURE)

@@ -1,4 +1,4 @@
-"""JSON beside URDF: ``poses.json`` places the objects, ``physics.json`` holds surfaces, drives and gravity."""
+"""JSON files beside the URDFs: ``poses.json`` places the objects; ``physics.json`` has surfaces, drives and gravity."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from simfoundry.scene.touching import excluded_link_pairs
 from simfoundry.scene.trees import Tree, trees
 
 _SERVO_ERROR = 0.005
-"""Error [rad or m] at which a servo that we add to a robot's own URDF gives all its force: 5 mrad at a reach of 0.8 m
-is 4 mm, what arms of that size repeat within under load."""
+"""Error [rad or m] at which a servo added to a robot's own URDF reaches its maximum force: 5 mrad at a reach of 0.8 m
+is 4 mm, the repeatability of arms of that size under load."""
 
 _SERVO_TIME = 0.05
-"""Time in which such a servo closes an error [s]: slow enough that its links, which weigh little, do not overshoot."""
+"""Time in which such a servo corrects an error [s]: slow enough that its light links do not overshoot."""
 
 
 def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]) -> bytes:
-    """Return ``physics.json``; collision shapes go by the names and in the order of the URDF.
+    """Return ``physics.json``; collision shapes have the names and order of the URDF.
 
-    A robot that was converted is described like an object; to one with a URDF of its own the file adds motors only,
-    and the joints that follow others beyond what the URDF states.
+    A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and the
+    mimic joints that the URDF does not state.
     """
     own = {name: robot for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
@@ -41,7 +41,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
 
 
 def excluded_between(scene: Scene) -> list[list[list[str]]]:
-    """Return the pairs of links of different bodies that do not collide, each link as its body and its own name."""
+    """Return the pairs of links of different bodies that do not collide; each link is its body and its own name."""
     parts = [tree for item in scene.objects for tree in trees(item)]
     home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
     own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
@@ -67,24 +67,24 @@ def _joint(joint: Joint) -> dict[str, object]:
 
 
 def drive_data(drive: Drive) -> dict[str, float]:
-    """Return ``stiffness * (target - position) - damping * velocity``, up to ``force_limit`` where there is one."""
+    """Return the gains of ``stiffness * (target - position) - damping * velocity``, and its ``force_limit`` if any."""
     gains = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
     limit = {} if drive.force_limit is None else {"force_limit": drive.force_limit}
     return {key: rounded(value) for key, value in (gains | limit).items()}
 
 
 def mimic_data(leader: Mimic | Follow) -> dict[str, object]:
-    """Return the joint that another follows, and the ratio and offset at which it does."""
+    """Return the joint that is followed, and the ratio and offset."""
     return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
 
 
 def pose_data(pose: Pose) -> dict[str, object]:
-    """Return a position [m] and a wxyz quaternion."""
+    """Return the position [m] and the wxyz quaternion of a pose."""
     return {"p": rounded_list(pose.p), "q_wxyz": rounded_list(pose.q)}
 
 
 def _robot(robot: RobotUrdf) -> dict[str, object]:
-    """Return the motors of a robot whose own URDF says how strong they are, and no more."""
+    """Return the motors of a robot whose own URDF states their maximum forces."""
     motors = {
         name: drive_data(Drive(force / _SERVO_ERROR, _SERVO_TIME * force / _SERVO_ERROR, robot.positions[name], force))
         for name, force in robot.efforts.items()
@@ -105,7 +105,7 @@ def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
 
 
 def placement(tree: Tree) -> dict[str, object]:
-    """Return the pose of a part of an object, whether it is fixed, its joint positions and the closed ends of these."""
+    """Return the pose of a part of an object, its fixed flag, its joint positions and the closed ends of its joints."""
     closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
     joints = {j.name: rounded(j.position) for j in tree.joints if j.has_axis}
     placed = {"fixed": tree.fixed, **pose_data(tree.X_WT), "joints": joints}
@@ -113,7 +113,7 @@ def placement(tree: Tree) -> dict[str, object]:
 
 
 def robot_placement(robot: RobotUrdf) -> dict[str, object]:
-    """Return the pose of a robot's base and its joint positions, as of any fixed object."""
+    """Return the pose of a robot's base and its joint positions, in the form of a fixed object."""
     joints = {name: rounded(position) for name, position in robot.positions.items()}
     return {"urdf": robot.path, "category": "robot", "fixed": True, **pose_data(robot.X_WB), "joints": joints}
 
@@ -124,7 +124,7 @@ def poses_entry(tree: Tree) -> dict[str, object]:
 
 
 def _free_part(tree: Tree) -> dict[str, object]:
-    """Return the object of a part that moves freely, and the free joint with its parent link, zero and motion."""
+    """Return the object of a freely moving part, and its free joint with parent link, zero pose and motion."""
     joint = tree.free_joint
     if joint is None:
         return {}
@@ -134,5 +134,5 @@ def _free_part(tree: Tree) -> dict[str, object]:
 
 
 def semantics(item: SceneObject) -> dict[str, object]:
-    """Return the category of an object, and its labels where it has some."""
+    """Return the category of an object and its labels, if any."""
     return {"category": item.category} | ({"labels": list(item.labels)} if item.labels else {})

@@ -1,4 +1,4 @@
-"""Scene to USD: UsdPhysics, UsdPreviewSurface, UsdLux, UsdSemantics, one file for each kind of element."""
+"""USD backend: UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics, with one file per kind of element."""
 
 from simfoundry.backends.backend import Backend
 from simfoundry.backends.usd.features import FEATURES

@@ -1,4 +1,4 @@
-"""The background: meshes without colliders, or a field of Gaussians in a layer of its own."""
+"""The background: meshes without colliders, or a field of Gaussians in a separate layer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPLAT = "assets/background.usdc"
 """The path of the splat's layer in the artifact."""
 
 _REACH = 3.0
-"""How many standard deviations of a Gaussian count as its extent."""
+"""Number of standard deviations of a Gaussian that count as its extent."""
 
 
 def define_background(world: Prim, looks: Prim, background: Background) -> None:
@@ -30,7 +30,7 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
 
 
 def splat_layer(splat: Splat) -> bytes:
-    """A layer whose default prim is the field of Gaussians, its colours as spherical harmonics by order."""
+    """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics by order."""
     from pxr import Sdf, Vt
 
     layer = new_crate("splat")

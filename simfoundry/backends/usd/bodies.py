@@ -1,4 +1,4 @@
-"""Objects and links: rigid bodies with explicit mass properties, their visuals and colliders."""
+"""Objects and links: rigid bodies with explicit mass properties, visuals and colliders."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
 from simfoundry.scene.trees import Tree, trees
 
 DEFAULT = "default"
-"""The variant that is the object as its document writes it."""
+"""The name of the variant that represents the object as written in its document."""
 
 
 @dataclass(frozen=True)
 class Scopes:
-    """The scopes of a stage for objects and the materials they share."""
+    """The scopes of a stage for objects and shared materials."""
 
     objects: Prim
     looks: Prim
@@ -40,16 +40,17 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Return true if nothing of a part of an object can move: it then has colliders and no rigid bodies."""
+    """Return true if no part of the tree can move; it then has colliders but no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
 def define_object(scopes: Scopes, item: SceneObject) -> None:
     """Define ``item`` at its pose in the world, its links side by side below it at their joint positions.
 
-    An articulation's root is the root link where it is free; where it is fixed, PhysX wants the root on a prim above
-    the link and the joint that holds it, else it falls back to joints in maximal coordinates. Where it has variants,
-    each holds all of it, in the variant set ``variant``. Labels are of the taxonomy ``class``, which Isaac Sim reads.
+    The articulation root of a free object is its root link. For a fixed object, PhysX requires it on a prim above both
+    the link and the joint that fixes it; otherwise PhysX uses joints in maximal coordinates. If the object has
+    variants, each variant in the variant set ``variant`` contains the complete object. Labels use the taxonomy
+    ``class``, which Isaac Sim reads.
     """
     prim = define(scopes.objects, item.name, "Xform")
     prim.kind = "component"
@@ -62,7 +63,7 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
 
 
 def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
-    """Define the links and joints of an object, or of one variant of it."""
+    """Define the links and joints of an object or of one of its variants."""
     apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
     attribute(prim, "semantics:labels:category", "token[]", [item.category])
     attribute(prim, "semantics:labels:class", "token[]", list(item.semantics))
@@ -87,9 +88,9 @@ def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
 
 
 def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
-    """State the free joint of a body, for which UsdPhysics has no prim: a body without a joint is free.
+    """State the free joint of a body as attributes, because UsdPhysics has no prim for free joints.
 
-    ``simfoundry:freePose`` is where it is at zero in its parent, as a matrix of USD, which multiplies row vectors.
+    ``simfoundry:freePose`` is the pose at zero in the parent, as a USD matrix, which multiplies row vectors.
     """
     matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
     attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
@@ -98,9 +99,9 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
 
 
 def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
-    """Join the bodies of a tree. Whether any of them may touch is the articulation's to say; which, the pairs'.
+    """Join the bodies of a tree. The articulation sets whether links may collide; filtered pairs set which.
 
-    Where the object has another articulation beside a fixed one, the joint that holds the latter is its root.
+    If a fixed object has another articulation beside the fixed one, the joint that fixes the latter is its root.
     """
     root = links[tree.root.name]
     if tree.fixed:
@@ -118,7 +119,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact. What cannot move has no body to name: its colliders stand for it."""
+    """Exclude pairs of links from contact. A static link has no body, so its colliders are named instead."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     found: dict[Prim, list[Prim]] = {}
@@ -149,13 +150,13 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
-    """The prim below which the links of an object are: its own, or its variant's."""
+    """Return the prim below which the links of an object are defined: its own or that of its variant."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim
 
 
 def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
-    """By qualified name, the bodies of an object, and what of each link can be touched."""
+    """Return the bodies of an object, and the collision prims of each link, by qualified name."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     for tree in trees(item):
@@ -170,7 +171,8 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = link.principal
-    # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
+    # Static links also get these attributes, without the schema, which requires a body; readers may ignore them, but no
+    # data is lost.
     attribute(body, "physics:centerOfMass", "point3f", vec3(link.com.tolist()))
     attribute(body, "physics:diagonalInertia", "float3", vec3(moments.tolist()))
     attribute(body, "physics:mass", "float", rounded(link.mass))

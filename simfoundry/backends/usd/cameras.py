@@ -1,4 +1,4 @@
-"""Cameras: a pinhole's intrinsics as focal length, apertures and their offsets."""
+"""Cameras: pinhole intrinsics as focal length, apertures and aperture offsets."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from simfoundry.backends.usd.prims import Prim, attribute, define, place
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Camera
 
-# Focal length and apertures share a unit, and only their ratios count. At 1/32 a pixel they read like a real lens
-# (640 px become 20 mm), and a power of two loses no digit of the width.
+# Focal length and apertures share a unit, and only their ratios matter. At 1/32 per pixel the values resemble a real
+# lens (640 px become 20 mm), and a power of two preserves all digits of the width.
 PIXEL = 1.0 / 32.0
 
-# The scene counts pixels from the centre of the first one, as OpenCV does; an aperture starts at that pixel's edge.
+# A scene counts pixels from the center of the first one, as OpenCV does; an aperture starts at the edge of that pixel.
 HALF_PIXEL = 0.5
 
 #: From OpenCV's camera axes (x right, y down, z forward) to USD's (x right, y up, looking along -z).
@@ -19,9 +19,10 @@ X_CU = Pose.of(q=(0.0, 1.0, 0.0, 0.0))
 
 
 def define_camera(scope: Prim, camera: Camera) -> None:
-    """Define ``camera`` with its exact intrinsics; the number of its pixels is an attribute of ours.
+    """Define ``camera`` with exact intrinsics; the image size in pixels is stored as a custom attribute.
 
-    USD has one focal length, so unequal ``fx`` and ``fy`` become unequal pixels: the vertical aperture is stretched.
+    USD has a single focal length, so unequal ``fx`` and ``fy`` become non-square pixels with a stretched vertical
+    aperture.
     """
     prim = define(scope, camera.name, "Camera")
     right = camera.width / 2 - (camera.cx + HALF_PIXEL)

@@ -1,4 +1,4 @@
-"""Layers of arrays as crates, USD's binary files: a third of the size of text, mapped into memory when read."""
+"""Array layers as crates, USD's binary format: a third of the size of text, and memory-mapped when read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def new_crate(default_prim: str) -> Sdf.Layer:
-    """A layer in metres with z up, to be drawn on and given to :func:`crate_bytes`."""
+    """Return an empty layer in meters with z up, to fill and pass to :func:`crate_bytes`."""
     from pxr import Sdf
 
     layer = Sdf.Layer.CreateAnonymous(".usdc")
@@ -23,7 +23,7 @@ def new_crate(default_prim: str) -> Sdf.Layer:
 
 
 def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, uniform: bool = False) -> Sdf.AttributeSpec:
-    """Author an attribute of a prim of such a layer."""
+    """Author an attribute of a prim in a crate layer."""
     from pxr import Sdf
 
     variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
@@ -33,9 +33,9 @@ def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, unif
 
 
 def crate_bytes(layer: Sdf.Layer) -> bytes:
-    """The layer as a crate. The same layer gives the same bytes in every process and version of Python.
+    """Return the layer as a crate; equal layers give equal bytes in every process and Python version.
 
-    USD writes crates to files only. It writes version 0.8.0, which every release since 2020 reads.
+    USD can only write crates to files. It writes version 0.8.0, which every release since 2020 reads.
     """
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         path = Path(folder) / "layer.usdc"

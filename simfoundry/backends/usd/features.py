@@ -17,15 +17,19 @@ from simfoundry.scene.trees import trees
 HULL_VERTICES = 64
 """PhysX's limit of the vertices of a convex hull (its documentation of ``PxConvexMeshDesc``)."""
 
-_COMBINE = "It is exact under PhysX's combine mode `multiply`, which other readers do not know."
+_COMBINE = "It is exact with PhysX's combine mode `multiply`, which other readers do not support."
 _RESISTANCE = "PhysX has no attribute for it in USD; Newton reads it."
 
 FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
-    "robot_motors": SupportCell(reason="Drives have the gains of the robot's file."),
-    "robot_contacts": approximated("Each shape has one friction, combined as readers do; its file may differ."),
+    "robot_motors": SupportCell(reason="Drives have the gains from the robot's file."),
+    "robot_contacts": approximated(
+        "Each shape has one friction, combined by the reader's rule; the robot's file may differ."
+    ),
     **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights"),
-    "point_lights": approximated("It falls off with the square of the distance, with the stated intensity at 1 m."),
+    "point_lights": approximated(
+        "Its intensity falls off with the square of the distance, and has the stated value at 1 m."
+    ),
     **exact("dome_lights", "background_mesh", "background_splat"),
     **exact("pose", "fixed", "category", "labels", "variants", "visuals", "texture", "mass", "inertia"),
     **exact("box", "sphere", "cylinder", "capsule"),
@@ -38,9 +42,9 @@ FEATURES: dict[str, SupportCell] = {
     "fixed_joint": SupportCell(reason="Objects that cannot move are one body without joints."),
     **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
-    "ball": SupportCell(reason="PhysX's ball joints have no damping and friction."),
+    "ball": SupportCell(reason="PhysX's ball joints have neither damping nor friction."),
     **exact("free"),
-    "mimic": SupportCell(reason="A slide follows a slide, a hinge a hinge."),
+    "mimic": SupportCell(reason="A joint can only follow a joint of the same kind."),
     **exact("drive"),
 }
 """The fidelity of each feature in USD."""
@@ -61,7 +65,7 @@ def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
         if math.sqrt(worst) != worst:
             reason = (
                 f"It is written as the square root under PhysX's combine mode `multiply`, which makes the geometric "
-                f"mean; a reader of plain UsdPhysics that averages, as Newton, gets up to {math.sqrt(worst):.3g} for "
+                f"mean; a reader of plain UsdPhysics that averages gets up to {math.sqrt(worst):.3g} for "
                 f"{worst:.3g}. `load(own_{name}=True)` in load.py gives it the surface's own value."
             )
             yield approximate(name, "", reason, abs(math.sqrt(worst) - worst))
@@ -75,7 +79,7 @@ def _object(item: SceneObject) -> Iterator[Loss]:
         for joint in tree.joints:
             element = f"{item.name}.{joint.name}"
             if is_static(tree):
-                yield drop("fixed_joint", element, "The object cannot move, so that its links are one static body.")
+                yield drop("fixed_joint", element, "The object cannot move, so its links are one static body.")
             else:
                 yield from _joint(element, joint, {j.name: j for j in tree.joints})
     for link in item.links:
@@ -92,13 +96,13 @@ def _joint(element: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator
             if getattr(joint, field):
                 yield drop(f"joint_{field}", element, f"PhysX's ball joints have no {field}; Newton reads it.")
     if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
-        reason = "USD has one damping per joint; what the joint adds to the drive's counts towards the force limit."
+        reason = "USD has one damping per joint; the joint's share of it counts towards the drive's force limit."
         yield approximate("joint_damping", element, reason)
     if joint.mimic is not None:
         leader = by_name.get(joint.mimic.joint)
         slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]
         if slides[0] != slides[1]:
-            reason = "PhysX and Newton let a joint follow only one of its kind: a slide a slide, a hinge a hinge."
+            reason = "In PhysX and Newton a joint can only follow a joint of the same kind, prismatic or revolute."
             yield drop("mimic", element, reason)
 
 
@@ -112,5 +116,5 @@ def _hull(element: str, collider: Collider) -> Iterator[Loss]:
 def _lights(scene: Scene) -> Iterator[Loss]:
     for light in scene.lights:
         if light.type is LightType.POINT:
-            reason = "It falls off with the square of the distance, and has the stated intensity at 1 m."
+            reason = "Its intensity falls off with the square of the distance, and has the stated value at 1 m."
             yield approximate("point_lights", light.name, reason)

@@ -1,4 +1,4 @@
-"""Shapes: primitives as USD's own, meshes in one layer beside the stage, which refers to them."""
+"""Geometries: primitives as USD primitives, meshes by reference to one layer beside the stage."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 MESHES = "assets/meshes.usdc"
-"""The path of the layer that holds the meshes: one, because a file for each costs more than its mesh."""
+"""The path of the mesh layer; a single layer, because separate files cost more than the meshes themselves."""
 
 
 def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:
     """Define ``geometry`` below ``parent``, posed in its link.
 
-    A box is a unit cube, scaled; a mesh is referred to, see :func:`mesh_layer`.
+    A box is a scaled unit cube; a mesh is a reference, see :func:`mesh_layer`.
     """
     match geometry:
         case Box(size=size):
@@ -62,10 +62,10 @@ def _mesh_name(mesh: Mesh) -> str:
 
 
 def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
-    """A layer of meshes named by their content, equal ones once, in the order of their names.
+    """Return a layer of meshes named by content, without duplicates and sorted by name.
 
-    They are in single precision, with texture coordinates where they have them. A class is what the prim that holds
-    them is: a stage of this layer alone shows nothing.
+    Meshes are in single precision and have texture coordinates if the source has them. They are defined as classes, so
+    a stage that opens only this layer shows nothing; the prim that refers to a class makes it visible.
     """
     from pxr import Sdf
 
@@ -97,7 +97,7 @@ def _define_mesh(prim: Sdf.PrimSpec, mesh: Mesh) -> None:
 
 
 def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Unit normals of triangles, shape (m, 3); those of triangles without area point up."""
+    """Return the unit normals of triangles, shape (m, 3); degenerate triangles get an upward normal."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Joints between the links of one object, and the one that holds a fixed object's root."""
+"""Joints between the links of an object, and the joint that fixes the root of a fixed object."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _TYPE = {
 }
 
 _MIMIC = "rotX"
-"""The instance of PhysX's mimic schema: joints of one axis have this one, whichever their axis is."""
+"""The instance of PhysX's mimic schema; single-axis joints use this one for any axis."""
 _LIMIT = (0.02, 1.0)
 _FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""How stiff MuJoCo holds limits and Coulomb friction, as in our MJCF: without them Newton's solver of that name lets a
-load of 10 N hang 20 mm below its stop, and a held joint creep 10 mm/s."""
+"""Stiffness of MuJoCo's limits and Coulomb friction, as in our MJCF. Without it, Newton's MuJoCo solver lets a load of
+10 N hang 20 mm below its stop, and a joint held by friction creep at 10 mm/s."""
 
 
 def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
-    """Weld a fixed object's root link to the world, at the object's prim, so that it moves along when that is moved.
+    """Weld a fixed object's root link to the world at the object's prim, so that it moves together with the prim.
 
-    Its name starts with a capital, as no joint of a scene does.
+    Its name starts with a capital letter, unlike the joints of a scene.
     """
     prim = define(scope, "Anchor", "PhysicsFixedJoint")
     _frames(prim, carrier, root, Pose.of(), Pose.of())
@@ -38,10 +38,10 @@ def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
 
 
 def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
-    """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader``, if there is one.
+    """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader`` if one is given.
 
-    UsdPhysics counts angles in degrees and turns about a coordinate axis of the joint's frames: both frames are turned
-    so that the coordinate axis nearest to the scene's is that axis.
+    UsdPhysics measures angles in degrees and rotates about a coordinate axis of the joint frames. Both frames are
+    rotated so that the coordinate axis closest to the scene's axis coincides with it.
     """
     prim = define(scope, joint.name, _TYPE[joint.type])
     token, X_CJ = joint_frame(joint.axis)
@@ -69,7 +69,7 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
 
 
 def _ball(prim: Prim, joint: Joint) -> None:
-    """Damping, friction and armature of a ball joint, about each axis: Newton's attributes, PhysX's for the last."""
+    """Add damping, friction and armature of a ball joint about each axis, for Newton; PhysX gets only the armature."""
     if joint.damping or joint.friction or joint.armature:
         apply_schemas(prim, ["PhysxJointAPI", "NewtonJointAPI"])
         attribute(prim, "newton:armature", "float", rounded(joint.armature))
@@ -79,9 +79,9 @@ def _ball(prim: Prim, joint: Joint) -> None:
 
 
 def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
-    """Let a joint follow another one: Newton's equation as the scene has it, PhysX's with all terms on one side.
+    """Make a joint follow another: Newton's equation as in the scene, PhysX's with all terms on one side.
 
-    PhysX softens it at a natural frequency; zero is for none, a rigid gear.
+    PhysX softens the constraint by a natural frequency; zero means a rigid gear.
     """
     leader = f"{scope.path}/{mimic.joint}"
     multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
@@ -98,11 +98,11 @@ def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: 
 
 
 def joint_frame(axis: Array) -> tuple[str, Pose]:
-    """The coordinate axis (``X``, ``Y``, ``Z``) nearest to ``axis``, and the rotation that takes it onto ``axis``."""
+    """Return the coordinate axis (``X``, ``Y``, ``Z``) closest to ``axis``, and the rotation from it to ``axis``."""
     k = int(np.argmax(np.abs(axis)))
     unit = np.eye(3)[k]
     cosine = float(unit @ axis)
-    if cosine < 0:  # half a turn about the next axis first, so that the rest is less than a quarter
+    if cosine < 0:  # rotate half a turn about the next axis first; the rest is then below a quarter turn
         half = np.concatenate([[0.0], np.eye(3)[(k + 1) % 3]])
         flipped = Pose.of(q=half)
         _, rest = joint_frame(flipped.inverse().apply(axis))
@@ -119,11 +119,11 @@ def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> Non
 
 
 def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
-    """Damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
+    """Add damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
 
-    UsdPhysics has a place for the first two only, one drive, whose gains are per degree; ``simfoundry:damping`` is what
-    of its damping is the joint's own. The others are PhysX's and Newton's attributes, in which torques [N m] and
-    armatures [kg m^2] do not depend on the angle's unit.
+    UsdPhysics supports only the first two, as one drive whose gains are per degree. ``simfoundry:damping`` is the part
+    of that damping which belongs to the joint itself. The other values are attributes of PhysX and Newton, in which
+    torques [N m] and armatures [kg m^2] do not depend on the unit of the angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
     drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Lights: UsdLux lights in the units of UsdLux."""
+"""Lights: UsdLux lights in UsdLux units."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from simfoundry.backends.usd.materials import linear_from_srgb
 from simfoundry.backends.usd.prims import Prim, attribute, define, place, vec3
 from simfoundry.scene.model import Light, LightType
 
-# A white diffuse surface has radiance 1 under an irradiance of pi. A normalised distant light states its irradiance;
-# a normalised sphere gives intensity / (4 d^2) at the distance d, here 1 m; a dome states its radiance.
+# A white diffuse surface has radiance 1 at irradiance pi. A normalized distant light states its irradiance; a
+# normalized sphere gives intensity / (4 d^2) at distance d, here 1 m; a dome states its radiance.
 FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
 _POINT_RADIUS = 0.02
 
 
 def define_light(scope: Prim, light: Light) -> None:
-    """Define ``light``; at intensity 1 it makes a white surface that faces it white (a point light: at 1 m)."""
+    """Define ``light``; intensity 1 makes a white surface facing it appear white (for a point light, at 1 m)."""
     match light.type:
         case LightType.DISTANT:
             prim = define(scope, light.name, "DistantLight")

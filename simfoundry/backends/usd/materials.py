@@ -16,18 +16,18 @@ from simfoundry.scene.model import Collider, Visual
 
 
 def texture_of(visual: Visual) -> bytes | None:
-    """The texture that ``visual`` can show: that of a mesh which has texture coordinates."""
+    """Return the texture of ``visual`` if its mesh has texture coordinates, otherwise None."""
     geometry = visual.geometry
     return geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
 
 
 def texture_path(texture: bytes) -> str:
-    """The path of a texture in the artifact, named by its content."""
+    """Return the path of a texture in the artifact, named by its content."""
     return f"assets/{hashlib.sha256(texture).hexdigest()[:16]}.png"
 
 
 def visual_material(scope: Prim, visual: Visual) -> Prim:
-    """The material of ``visual``: equal looks share one, so the name comes from the content."""
+    """Return the material of ``visual``; visuals of equal appearance share one, named by its content."""
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
     rgba = tuple([rounded(v) for v in visual.rgba.tolist()])
@@ -43,7 +43,7 @@ def _look_name(path: str, rgba: tuple[float, ...]) -> str:
 
 
 def linear_from_srgb(rgb: Array) -> Array:
-    """Scene-linear colour, which UsdPreviewSurface takes, of a colour as displayed (sRGB, as in MuJoCo and URDF)."""
+    """Return the scene-linear color, which UsdPreviewSurface expects, of an sRGB color as used by MuJoCo and URDF."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
@@ -64,7 +64,7 @@ def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
 
 
 def _texture(material: Prim, color: Array, texture: str) -> Prim:
-    """The texture's shader, multiplied by ``color``, reading its coordinates from the primvar ``st``."""
+    """Define the texture shader, multiplied by ``color``; it reads its coordinates from the primvar ``st``."""
     reader = define(material, "Coordinates", "Shader")
     attribute(reader, "info:id", "token", "UsdPrimvarReader_float2", uniform=True)
     attribute(reader, "inputs:varname", "string", "st")
@@ -82,9 +82,9 @@ def _texture(material: Prim, color: Array, texture: str) -> Prim:
 
 
 def contact_material(scope: Prim, collider: Collider) -> Prim:
-    """The contact material of ``collider``: √μ and √e under PhysX's ``multiply``, so that a pair has geometric means.
+    """Return the contact material of ``collider``: √μ and √e with PhysX's ``multiply``, which gives geometric means.
 
-    ``simfoundry:friction`` and ``simfoundry:restitution`` hold the surface's own coefficients.
+    ``simfoundry:friction`` and ``simfoundry:restitution`` hold the coefficients of the surface itself.
     """
     friction, restitution = number(collider.friction), number(collider.restitution)
     name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"

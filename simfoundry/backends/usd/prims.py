@@ -1,7 +1,7 @@
 """Prims, attributes, relationships and transforms of a stage.
 
-Prims are plain Python and become text at the end (:mod:`~simfoundry.backends.usd.usda`): authoring through USD's own
-layers takes five times as long. A vector, a quaternion (w first) or a row of a matrix is a tuple, an array a list.
+Prims are plain Python objects that :mod:`~simfoundry.backends.usd.usda` converts to text; authoring through USD's own
+layers takes five times as long. Vectors, quaternions (w first) and matrix rows are tuples; arrays are lists.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 
 
 class Attribute(NamedTuple):
-    """A value of a prim, and the type that USD calls it; None where it has no value, or a ``source`` instead."""
+    """A value of a prim and its USD type name; the value is None if there is none or if ``source`` provides it."""
 
     type_name: str
     value: Any
@@ -25,29 +25,29 @@ class Attribute(NamedTuple):
 
 
 class Asset(NamedTuple):
-    """A path of a file, as the value of an attribute."""
+    """A file path as the value of an attribute."""
 
     path: str
 
 
 class Targets(NamedTuple):
-    """The targets of a relationship: paths of the stage."""
+    """The targets of a relationship: paths on the stage."""
 
     paths: tuple[str, ...]
 
     @property
     def value(self) -> Targets:
-        """Itself, where that of an attribute is asked for."""
+        """Return the targets themselves, for code that reads attributes and relationships alike."""
         return self
 
 
 @dataclass(eq=False, slots=True)
 class Prim:
-    """A prim as it grows.
+    """A prim under construction.
 
-    ``path`` is how the stage calls it, whichever variants it is drawn in; ``references`` are as USD writes them. A prim
-    with ``variants`` has one set of them, called ``variant``, of which one is ``selected``; each is a prim of its own
-    name and type.
+    ``path`` is its path on the stage, without variant selections; ``references`` are in USD syntax. A prim with
+    ``variants`` has one variant set named ``variant``, with one variant ``selected``; each variant is a prim with its
+    own name and type.
     """
 
     name: str
@@ -64,25 +64,25 @@ class Prim:
     selected: str = ""
 
     def variant(self, name: str) -> Prim:
-        """Add the variant ``name``; what is drawn on it is there where it is selected."""
+        """Add the variant ``name``; its contents exist on the stage if the variant is selected."""
         self.variants[name] = Prim(self.name, self.type_name, self.path)
         return self.variants[name]
 
 
 def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
-    """Define a child prim of a type, with the API schemas applied to it."""
+    """Define a child prim of the given type and apply API schemas to it."""
     prim = Prim(name, type_name, f"{parent.path}/{name}", specifier, schemas=list(schemas))
     parent.children[name] = prim
     return prim
 
 
 def apply_schemas(prim: Prim, schemas: Sequence[str]) -> None:
-    """Apply API schemas by name; those of PhysX and Newton need not be registered to be written."""
+    """Apply API schemas by name; PhysX and Newton schemas need not be registered."""
     prim.schemas.extend(schemas)
 
 
 def attribute(prim: Prim, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
-    """Author an attribute of ``prim``; names in ``simfoundry:`` are written as custom, being in no schema."""
+    """Author an attribute of ``prim``; names in ``simfoundry:`` are custom because no schema defines them."""
     prim.properties[name] = Attribute(type_name, value, uniform)
 
 
@@ -92,12 +92,12 @@ def connect(prim: Prim, name: str, type_name: str, source: str) -> None:
 
 
 def relate(prim: Prim, name: str, targets: Iterable[Prim | str]) -> None:
-    """Author a relationship of ``prim`` to others, or to those at paths of the stage."""
+    """Author a relationship from ``prim`` to other prims or stage paths."""
     prim.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
 
 
 def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
-    """Pose ``prim`` in its parent, in double precision; ``scale`` applies first."""
+    """Set the pose of ``prim`` in its parent, in double precision; ``scale`` applies first."""
     operations = []
     p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
     if any(p):
@@ -114,19 +114,19 @@ def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
 
 
 def settled(value: float) -> float:
-    """A coordinate [m] or a part of a unit quaternion to twelve decimals, so that what should be zero is zero."""
+    """Round a coordinate [m] or quaternion component to twelve decimals, so that rounding noise becomes zero."""
     return round(float(value), 12) + 0.0
 
 
 def vec3(values: Iterable[float]) -> tuple[float, ...]:
-    """Three numbers for single precision; what that cannot hold is infinite, as a reader will see it."""
+    """Return three values for single precision; values out of its range are infinite, as readers will see them."""
     return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 
 _MOST = 3.4028235e38
-"""The greatest number of single precision."""
+"""The largest finite single-precision number."""
 
 
 def quat(q: Iterable[float]) -> tuple[float, ...]:
-    """A wxyz quaternion to twelve decimals."""
+    """Return a wxyz quaternion rounded to twelve decimals."""
     return tuple([settled(v) for v in q])

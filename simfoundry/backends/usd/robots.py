@@ -1,4 +1,4 @@
-"""Robots in a stage: their own USD by reference, or converted from MJCF or URDF; mounted cameras."""
+"""Robots on a stage: their own USD by reference, or a conversion from MJCF or URDF; also mounted cameras."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from pxr import Sdf, Usd
 
 _UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
-"""From a stage whose y axis is up to one whose z axis is."""
+"""Rotation from a stage with y up to one with z up."""
 
 _LAYER = re.compile(r"layer @([^@]+)@")
 
 
 @dataclass
 class RobotsInUsd:
-    """Additions of robots: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
+    """Results for robots: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
@@ -39,7 +39,7 @@ class RobotsInUsd:
 
 
 def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
-    """Define every robot below ``/World/Robots``; nothing where there is none."""
+    """Define every robot below ``/World/Robots``, which is omitted if there are none."""
     found = RobotsInUsd()
     if not scene.robots:
         return found
@@ -52,9 +52,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = (
-            "Its surfaces have the friction of its file, which readers combine with the scene's by their own rules."
-        )
+        reason = "It has the friction of its file, which readers combine with the scene's by their own rules."
         found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
@@ -77,7 +75,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
 
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    """Refer to the robot's own USD, copied with all that lies in its folder; its joints as the scene has them."""
+    """Reference the robot's own USD, copied with all files in its folder, and set the scene's joint positions."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(native.file))
@@ -112,7 +110,7 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
 
 
 def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
-    """A loss where the robot's file refers to layers that are not there."""
+    """Yield a loss if the robot's file refers to missing layers."""
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
         count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
@@ -121,7 +119,7 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
 
 
 def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
-    """The spec in our layer for a prim of the referenced stage."""
+    """Return the spec in our layer for a prim of the referenced stage."""
     spec = model
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":
@@ -131,7 +129,7 @@ def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
 
 
 def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
-    """Set the initial position of a joint, and the target of its drive, if it has one."""
+    """Set the initial position of a joint and the target of its drive, if it has one."""
     from pxr import UsdPhysics
 
     kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
@@ -144,7 +142,7 @@ def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
 
 
 def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
-    """Weld the first body to the world, unless the robot's own file holds it there."""
+    """Weld the first body to the world, unless the robot's own file already does."""
     from pxr import Usd, UsdPhysics
 
     bodies = [p for p in Usd.PrimRange(default) if p.HasAPI(UsdPhysics.RigidBodyAPI)]
@@ -166,7 +164,7 @@ def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
 
 
 def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
-    """Define each mounted camera below its link; yields a loss for each whose carrier is not there."""
+    """Define each mounted camera below its link; yield a loss for each camera whose link is missing."""
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
@@ -180,7 +178,7 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """Yield the prim of the link that carries a camera, in each variant of its object that has it; its pose in that."""
+    """Yield the prim of the link that supports a camera, in each variant that has it, and the pose in that link."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]
@@ -194,7 +192,7 @@ def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: Mounte
 
 
 def _without(scene: Scene, mounted: MountedCamera) -> Iterator[str]:
-    """The variants of the object that carries a camera which do not have the link that it rides on."""
+    """Yield the variants of the supporting object that lack the link on which a camera is mounted."""
     item = scene.by_name.get(mounted.carrier)
     if item is not None and mounted.link:
         for one in (item, *item.variants):

@@ -1,10 +1,11 @@
-"""The document behind a scene, kept in the stage, and what the stage said when it was written.
+"""The source document of a scene, stored in the stage, and a record of the stage as the backend wrote it.
 
-Metadata of prims is composed by USD, so it survives flattening, crates, sublayers and references. In ``customData``,
-under ``simfoundry``, the default prim has the document (``document``, without the parts that have a prim of their own)
-and each part its own data (``spec``) with its place in the document (``part``): a prim that is copied or deleted takes
-them along. ``built`` is what the backend wrote, so that a reader knows what a person changed afterwards. Of an object
-with variants each variant has its own ``built``, and its name as ``variant``: the stage shows those of the chosen one.
+USD composes prim metadata, so it survives flattening, crates, sublayers and references. In ``customData`` under
+``simfoundry``, the default prim stores the document (``document``, without the parts that have their own prims). Each
+part stores its own data (``spec``) and its place in the document (``part``), so that copying or deleting a prim also
+copies or deletes its data. ``built`` records what the backend wrote, so that a reader can detect later edits. In an
+object with variants, each variant has its own ``built`` and its name as ``variant``; the stage shows those of the
+selected variant.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.source import Source
 
 KEY = "simfoundry"
-"""The key of our dictionary in ``customData`` and in ``customLayerData``."""
+"""The key of our dictionary in ``customData`` and ``customLayerData``."""
 
 SCOPES = {"objects": "Objects", "robots": "Robots", "cameras": "Cameras", "lights": "Lights"}
-"""Sections of a document whose members have prims, and the scopes below the default prim in which these lie."""
+"""Sections of a document whose entries have prims, and the scope of each section below the default prim."""
 
 VIEW_ONLY = (
     *("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:"),
     *("physics:approximation", "faceVarying", "subdivision", "doubleSided", "orientation"),
 )
-"""Starts of attributes that say how a prim is shown or found; ``at`` has what the transforms come to."""
+"""Prefixes of attributes that concern only display or lookup; ``at`` holds the resulting transform."""
 
 _NUMBER = "%.9g"
 
 
 def write_source(world: Prim, source: Source) -> dict[str, str]:
-    """Write ``source`` into the prims from the finished default prim down; returns what the layer says about it."""
+    """Store ``source`` in the finished default prim and the prims below it; return the metadata for the layer."""
     document = dict(source.data)
     materials = _materials(world)
     for section, scope in SCOPES.items():
@@ -56,7 +57,7 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
 
 
 def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[str, dict[str, Any]]) -> None:
-    """Collect what a part and the prims below it say, by ``path`` relative to it; of itself by the empty path."""
+    """Collect the values of a part and the prims below it by relative path; the part itself has the empty path."""
     values = _values(prim)
     said = observed(values)
     for binding, name in _BINDINGS.items():
@@ -71,30 +72,30 @@ def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[
 
 
 def _values(prim: Prim) -> dict[str, Any]:
-    """Return the values of the properties of a prim, without attributes that have none."""
+    """Return the property values of a prim; attributes without a value are omitted."""
     return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
 _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
-"""How a shape looks and touches: relationships to the materials that are bound to it, and what we call these."""
+"""Material bindings for appearance and contact, with the names we use for them."""
 
 
 def _materials(world: Prim) -> dict[str, Any]:
-    """Return the values of the materials of the stage, by their path."""
+    """Return the values of the stage's materials by path."""
     looks, contacts = (world.children[scope].children.values() for scope in ("Looks", "Contacts"))
     shaders = {p.path: {name: _values(shader) for name, shader in p.children.items()} for p in looks}
     return {path: look(found) for path, found in shaders.items()} | {p.path: contact(_values(p)) for p in contacts}
 
 
 def _posture(said: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return the pose and joint positions alone from the values of a robot's prims: its model is its own."""
+    """Return only the pose and joint positions among the values of a robot's prims; its model is stored separately."""
     states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
     base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
     return base | {path: values for path, values in states.items() if values}
 
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """The values among those of a prim's attributes that mean something to the document, as plain data."""
+    """Return the attribute values that are meaningful for the document, as plain data."""
     said = {}
     for name in sorted(attributes):
         if not _is_view_only(name) and (value := plain(attributes[name])) is not None:
@@ -108,9 +109,9 @@ def _is_view_only(name: str) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """A value of USD as plain data: numbers to nine digits, vectors and quaternions (w first) as lists.
+    """Return a USD value as plain data: numbers with nine digits, vectors and quaternions (w first) as lists.
 
-    None for all else, arrays among it.
+    Returns None for all other types, including arrays.
     """
     match value:
         case float():
@@ -126,14 +127,14 @@ def plain(value: Any) -> Any:
         return None
     if kind.startswith("Quat"):
         return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
-    if kind.startswith("Vec"):  # by index: to iterate, pxr raises and translates an error at the end
+    if kind.startswith("Vec"):  # by index, because pxr ends an iteration with a translated exception, which is slow
         values = [value[k] for k in range(len(value))]
         return [v if type(v) is int else float(_NUMBER % v) for v in values]
     return None
 
 
 def _transform(values: Mapping[str, Any]) -> list[float]:
-    """Position, quaternion and scale of a prim in its parent."""
+    """Return position, quaternion and scale of a prim in its parent."""
     position, turn, scale = (values.get(f"xformOp:{name}") for name in ("translate", "orient", "scale"))
     return [
         *([0.0, 0.0, 0.0] if position is None else plain(position)),
@@ -143,9 +144,9 @@ def _transform(values: Mapping[str, Any]) -> list[float]:
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
-    """Scene-linear red, green, blue, and opacity of a material of ours; a texture is multiplied by them.
+    """Return scene-linear red, green, blue and opacity of a material of this backend; they multiply any texture.
 
-    ``material`` has the attributes of its shaders by the shaders' names. None where it is not of our making any more.
+    ``material`` has the shader attributes by shader name. Returns None if the material no longer has our structure.
     """
     surface, texture = material.get("Surface", {}), material.get("Texture", {})
     color = texture.get("inputs:scale") if texture else surface.get("inputs:diffuseColor")
@@ -154,14 +155,14 @@ def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
 
 
 def contact(material: Mapping[str, Any]) -> list[float] | None:
-    """Friction and restitution of a contact material, each as PhysX has it and as the surface's own."""
+    """Return friction and restitution of a contact material, each as written for PhysX and of the surface itself."""
     names = ("physics:dynamicFriction", f"{KEY}:friction", "physics:restitution", f"{KEY}:restitution")
     values = [plain(material.get(name)) for name in names]
     return None if None in values else values
 
 
 def _lines(data: Mapping[str, Any]) -> str:
-    """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
+    """Format JSON with one line per top-level key, for people who inspect the metadata."""
     entries = [f"{json_string(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 

@@ -1,4 +1,4 @@
-"""The stage as a whole: what is where, and the files it consists of."""
+"""The stage: its layout, and the files it consists of."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _LOADER = shipped("targets/usd") / "load.py"
 def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
 
-    Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
+    The default prim ``/World`` contains ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
-    ``Contacts``. The stage's own prims start with a capital, the scene's names do not, so the two never meet. The
-    document behind the scene is kept in metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or
-    is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
+    ``Contacts``. The stage's own prims start with a capital letter and the names of a scene do not, so they never
+    collide. The source document is stored in metadata, see :mod:`~simfoundry.backends.usd.source`. Raises
+    :class:`~simfoundry.backends.names.InvalidSceneError` for names that are invalid or not unique.
     """
     check_names(scene)
     world = Prim("World", "Xform", "/World", kind="assembly")
@@ -68,7 +68,7 @@ def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
 
 
 def _define_physics(world: Prim, scene: Scene) -> None:
-    """The physics scene; without gravity its direction still has to be a direction."""
+    """Define the physics scene; without gravity, its direction must still be a valid direction."""
     prim = define(world, "Physics", "PhysicsScene")
     magnitude = float(np.linalg.norm(scene.gravity))
     direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
@@ -77,7 +77,7 @@ def _define_physics(world: Prim, scene: Scene) -> None:
 
 
 def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
-    """The layer of the meshes, that of a splat, and the textures of the visuals by path, sorted."""
+    """Return the mesh layer, the splat layer and the textures of the visuals by path, sorted."""
     contents: dict[str, bytes] = {}
     links = [link for each in objects for item in (each, *each.variants) for link in item.links]
     visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())

@@ -1,4 +1,4 @@
-"""Prims to the text of a layer, laid out as USD's own writer does."""
+"""Conversion of prims to USDA text, formatted like the output of USD's own writer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STEP = "    "
 
 
 def usda(root: Prim, custom_data: Mapping[str, Any]) -> bytes:
-    """A layer in metres and kilograms with z up, of which ``root`` is the default prim."""
+    """Return a layer in meters and kilograms with z up, with ``root`` as its default prim."""
     head = [
         *(_dictionary("customLayerData", custom_data, _STEP) if custom_data else ()),
         f"{_STEP}defaultPrim = {quoted(root.name)}",
@@ -32,7 +32,7 @@ def _append_prim(lines: list[str], prim: Prim, indent: str) -> None:
 
 
 def _append_body(lines: list[str], prim: Prim, opening: str, before_brace: str, indent: str) -> None:
-    """Metadata in parentheses, then properties, variants and children in braces."""
+    """Append metadata in parentheses, then properties, variants and children in braces."""
     inside = indent + _STEP
     metadata = list(_metadata(prim, inside))
     if metadata:
@@ -99,7 +99,7 @@ def _property(name: str, found: Attribute | Targets) -> str:
 
 
 def _row(values: tuple[Any, ...]) -> str:
-    """A vector of numbers, or a matrix of such rows."""
+    """Format a vector of numbers, or a matrix of such rows."""
     items = map(number, values) if isinstance(values[0], float) else [_TEXT[type(v)](v) for v in values]
     return f"({', '.join(items)})"
 
@@ -108,16 +108,16 @@ def _list(items: Iterable[str]) -> str:
     return f"[{', '.join(items)}]"
 
 
-@lru_cache(maxsize=16384)  # words come again and again
+@lru_cache(maxsize=16384)  # the same strings occur many times
 def quoted(text: str) -> str:
-    """A text in the quotes that need the fewest escapes; in three of them where it has several lines."""
+    """Quote a string with the quotes that need the fewest escapes; triple quotes if it has several lines."""
     quote = "'" if '"' in text and "'" not in text else '"'
     fence = quote * 3 if "\n" in text else quote
     return f"{fence}{text.translate(_ESCAPES[quote])}{fence}"
 
 
 def _escapes(quote: str) -> list[str]:
-    """Return the text of each ASCII character between such quotes."""
+    """Return the escaped form of each ASCII character within the given quotes."""
     plain = {chr(k): chr(k) for k in range(128)}
     control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
     return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())
@@ -134,4 +134,4 @@ _TEXT: dict[type, Callable[[Any], str]] = {
     int: str,
     Asset: lambda asset: f"@{asset.path}@",
 }
-"""The writer of a value, by its type."""
+"""The formatting function for each type of value."""

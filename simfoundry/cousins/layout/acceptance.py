@@ -152,7 +152,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
         least = min(SEEN, twin.shares_seen.get(name, SEEN))
         camera, share = best_view(cameras, name, surfaces, least)
         if share < least:
-            text = f"only {share:.0%} of `{name}` is seen by `{camera}`, which sees most of it; {least:.0%} must be"
+            text = f"only {share:.0%} of `{name}` is visible to `{camera}`, its best view; {least:.0%} is required"
             yield Reason("out_of_view", text, _numbers(share=share))
 
 

@@ -111,7 +111,7 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
         elif twin.scene.object(name).fixed:
             yield Reason("fixed", f"`{name}` is fixed to the world, so it cannot move")
         elif anchor in twin.riders(name):
-            yield Reason("carries_anchor", f"`{name}` carries the anchor `{anchor}`, so it cannot move around it")
+            yield Reason("carries_anchor", f"`{name}` supports the anchor `{anchor}`, so it cannot move around it")
         elif not words:
             yield Reason("no_predicate", f"`{name}` has no allowed predicate towards `{anchor}`")
 
@@ -327,7 +327,7 @@ def too_full(
     is_full, has = ("is", "it has") if len(names) == 1 else ("are", "they have")
     text = (
         f"{' and '.join(f'`{name}`' for name in names)} {is_full} too full: the shadows of {what} take "
-        f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and what is put by chance fills {FULL:.0%} of that at most"
+        f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and random placement fills at most {FULL:.0%} of that"
     )
     numbers = {"needed_m2": taken + added, "support_m2": area, "things": float(len(here) + count)}
     return (Reason("too_full", text, MappingProxyType(numbers)),)

@@ -198,7 +198,7 @@ TABLE = "trial_table"
 GRAVITY = frozen_array([0.0, 0.0, -9.81])
 
 STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
-"""Speed below which an object is at rest between two checks [m/s], and maximum duration of a trial [s]."""
+"""Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval of the checks [s]."""
 
 OPENED = 0.95
 """Joint opening in a trial, as a share of the range."""

@@ -86,7 +86,7 @@ class LikenessDistance:
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
-        return f"size {math.expm1(self.size):.1%}, shape {self.shape:.3f}, colour {self.color:.1f}"
+        return f"size {math.expm1(self.size):.1%}, shape {self.shape:.3f}, color {self.color:.1f}"
 
 
 def likeness(item: SceneObject, seed: int = 0) -> Likeness:

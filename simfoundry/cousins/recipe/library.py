@@ -32,8 +32,8 @@ VERSION = "library facts 2"
 """Version of the measured data; part of the cache key."""
 
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
-"""Assumed density of a mesh without a stated mass [kg/m^3]: typical of household objects, most hollow ones of which
-float.
+"""Assumed density of a mesh without a stated mass [kg/m^3]: solid household objects are denser or lighter than
+water, and hollow ones float.
 """
 
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}

@@ -31,7 +31,7 @@ OUTER = 0.02
 """Maximum distance of handle geometry from the link's outermost point in the opening direction [m]."""
 
 SLANTS = (0.0, 0.4, 0.8, 1.2)
-"""Downward pitch of a hand that approaches a handle from its front [rad]."""
+"""Downward pitch angles of a hand that approaches a handle from its front [rad]."""
 
 TRIES = 80
 

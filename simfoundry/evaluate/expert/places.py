@@ -31,7 +31,7 @@ SUNK = 0.008
 UP = np.array([0.0, 0.0, 1.0])
 
 ENOUGH, LOOKED_AT = 48, 400
-"""Number of places of a kind that suffice, and maximum number of orientations on end that are tried."""
+"""Number of places of a kind that suffice, and maximum number of candidate poses on end that are tried."""
 
 FAR = 10.0
 """Cost of a place per meter from the center."""
@@ -40,7 +40,7 @@ LONG = 1.8
 """Minimum ratio of the two largest extents of a long object, which may also stand on end."""
 
 LEANS = (0.0, 0.3, 0.6)
-"""Maximum tilt of a long object that is put into a cavity [rad]."""
+"""Tilt angles of a long object that is put into a cavity [rad]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 LARGEST = 16 * 2**20
 """Maximum size of an answer [bytes]; a chunk of actions has a few thousand."""
 PING_S, PONG_S = 60.0, 600.0
-"""Disables keep-alive pings: a server that compiles its model answers none for minutes, and websockets would
-disconnect.
+"""Interval and timeout of keep-alive pings [s]: a server that compiles its model answers none for minutes, and the
+default timeout of websockets would close the connection.
 """
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
 """Initial and maximum delay between two attempts to connect [s]; the delay doubles each time."""

@@ -18,7 +18,7 @@ rollouts of the paper's protocol, in which contacts that differ by rounding end 
 """
 
 CHANCE = 1
-"""Minimum difference in starts for a disagreement: a single one is chance, however few starts there are."""
+"""Maximum difference in successes that counts as chance, however few starts there are."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tasks of LIBERO and BEHAVIOR in, and ours out to them: the Behavior Domain Definition Language (BDDL)."""
+"""Import of LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
 
 from simfoundry.frontends.bddl.problem import BddlProblem, read_problem
 from simfoundry.frontends.bddl.task import read_bddl_task

@@ -1,7 +1,7 @@
-"""Convert conditions of BDDL: quantifiers become `all`, `any` and `not` over the scene's objects.
+"""Convert BDDL conditions: quantifiers become `all`, `any` and `not` over the scene's objects.
 
-They mean what the `bddl` package evaluates: `forn` is exactly so many, `fornpairs` exactly so many pairs,
-`forpairs` as many of one kind as there are of the fewer, each with a partner.
+Quantifiers have the semantics of the `bddl` package: `forn` requires exactly n objects and `fornpairs` exactly n pairs;
+`forpairs` requires a partner for as many objects as the smaller of the two groups contains.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import Any
 from simfoundry.frontends.bddl.problem import BddlGroup, BddlWord
 
 MOST_TERMS = 20_000
-"""Predicates of a written-out goal: nobody reads more, and quantifiers over many objects explode."""
+"""Largest number of predicates in an expanded goal; quantifiers over many objects grow combinatorially."""
 
 Condition = Any
-"""A predicate, or a mapping of `all`, `any` or `not`, as in a document."""
+"""Predicate, or a mapping with `all`, `any` or `not`, as in a document."""
 
 Scope = Mapping[str, str]
-"""Objects that variables stand for, by the names of the variables."""
+"""Objects by the names of the variables bound to them."""
 
 
 @dataclass
 class ConditionReader:
-    """Converts conditions: ``atom`` makes a predicate of its name and arguments, ``objects`` are by type."""
+    """Converts conditions; ``atom`` creates a predicate from its name and arguments, ``objects`` are listed by type."""
 
     atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     objects: Mapping[str, Sequence[str]]
@@ -34,7 +34,7 @@ class ConditionReader:
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
-        """Return one condition; None where something of it is missing, which is then in ``missing``."""
+        """Return one condition; None if a part of it is missing, which is then listed in ``missing``."""
         match group.head:
             case "and" | "or":
                 return self._joined(
@@ -91,7 +91,7 @@ class ConditionReader:
         return self._joined("all", sides)
 
     def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
-        """At least so many of some conditions hold."""
+        """Return the condition that at least ``least`` of the conditions hold."""
         if not self._affordable(group, len(found), least):
             return None
         if least == len(found):
@@ -99,7 +99,7 @@ class ConditionReader:
         return self._joined("any", [self._joined("all", list(chosen)) for chosen in combinations(found, least)])
 
     def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
-        """Exactly so many of some conditions hold."""
+        """Return the condition that exactly ``count`` of the conditions hold."""
         if count > len(found):
             self._lack(group, f"{count} are to hold of {len(found)}")
             return None
@@ -123,7 +123,7 @@ class ConditionReader:
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
     def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
-        """The variable of ``(?x - type)`` and the objects that it ranges over."""
+        """Return the variable of ``(?x - type)`` and the objects that it ranges over."""
         words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
@@ -133,7 +133,7 @@ class ConditionReader:
         return int(group.head) if group.head.isdigit() and len(group.head) < 6 else None
 
     def _lack(self, group: BddlGroup, what: str) -> None:
-        """Note something that is missing, once."""
+        """Record a missing element once."""
         text = f"line {group.line}: {what}"
         if text not in self.missing:
             self.missing.append(text)

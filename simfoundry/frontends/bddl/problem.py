@@ -1,4 +1,4 @@
-"""Read BDDL: bracketed expressions as PDDL has them, and the problem that they state."""
+"""Read BDDL files: parse the PDDL expressions, and extract the problem that they define."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from simfoundry.frontends.errors import ImportRefusedError
 
 @dataclass(frozen=True)
 class BddlRegion:
-    """A part of an object, or a rectangle on it.
+    """Part of an object, or a rectangle on it.
 
-    ``ranges`` are (lowest x, lowest y, highest x, highest y) in the frame of ``target`` [m]; ``yaw`` is the lowest and
-    the highest turn about z [rad]; both are None where the file gives none.
+    ``ranges`` are (min x, min y, max x, max y) [m] in the frame of ``target``; ``yaw`` is the minimum and maximum
+    rotation about z [rad]. Both are None if the file does not specify them.
     """
 
     name: str
@@ -27,7 +27,7 @@ class BddlRegion:
 
 @dataclass(frozen=True)
 class BddlProblem:
-    """A problem: ``kinds`` are the types of all objects and fixtures by their names, ``regions`` by their long names.
+    """BDDL problem; ``kinds`` maps objects and fixtures to types, and ``regions`` has regions by qualified name.
 
     ``domain`` is ``robosuite`` for LIBERO and ``omnigibson`` (``igibson`` in older files) for BEHAVIOR.
     """
@@ -81,7 +81,7 @@ def _text(group: BddlGroup | None) -> str:
 
 
 def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
-    """``a b - kind c - other``, as PDDL writes typed lists."""
+    """Read a typed PDDL list, such as ``a b - kind c - other``, into ``kinds``."""
     waiting: list[BddlWord] = []
     words = list(group.words)
     while words:
@@ -102,7 +102,7 @@ def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
 
 
 def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
-    """By ``TARGET_NAME``, as the conditions call them."""
+    """Return the regions by ``TARGET_NAME``, the name that conditions use."""
     found: dict[str, BddlRegion] = {}
     for region in group.groups if group is not None else ():
         parts = {part.head: part for part in region.groups}
@@ -118,7 +118,7 @@ def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
 
 
 def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | None:
-    """The numbers of ``(:key ((1 2 3 4)))``: of the first rectangle where there are more."""
+    """Return the numbers of ``(:key ((1 2 3 4)))``, or those of the first rectangle if there are several."""
     while group is not None and group.groups:
         group = group.groups[0]
     if group is None:
@@ -133,24 +133,24 @@ def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | N
 
 
 MAX_BYTES = 4 * 2**20
-"""The largest problem of BEHAVIOR-1K has 20 kB."""
+"""Largest file size [bytes]; the largest problem of BEHAVIOR-1K has 20 kB."""
 
 MAX_DEPTH = 64
-"""Brackets within brackets: problems nest a tenth of it."""
+"""Largest nesting depth; actual problems have about a tenth of it."""
 
 _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
 
 @dataclass(frozen=True)
 class BddlWord:
-    """A word and its line; BDDL does not tell upper from lower case in what it defines itself."""
+    """Word and its line; keywords of BDDL are case-insensitive."""
 
     text: str
     line: int
 
     @property
     def plain(self) -> str:
-        """In lower case, without the mark of a variable."""
+        """Return the word in lower case, without the prefix of a variable."""
         return self.text.lower().removeprefix("?")
 
 
@@ -163,27 +163,27 @@ class BddlGroup:
 
     @property
     def head(self) -> str:
-        """Its first word in lower case; empty where it begins with a bracket or is empty."""
+        """Return the first word in lower case; empty if the group is empty or begins with a bracket."""
         return self.items[0].plain if self.items and isinstance(self.items[0], BddlWord) else ""
 
     @property
     def rest(self) -> tuple[BddlWord | BddlGroup, ...]:
-        """All but the first."""
+        """Return all elements except the first."""
         return self.items[1:]
 
     @property
     def groups(self) -> tuple[BddlGroup, ...]:
-        """The groups in it."""
+        """Return the nested groups."""
         return tuple(item for item in self.items if isinstance(item, BddlGroup))
 
     @property
     def words(self) -> tuple[BddlWord, ...]:
-        """The words in it, the first left out."""
+        """Return the words except the first."""
         return tuple(item for item in self.rest if isinstance(item, BddlWord))
 
 
 def read_group(path: Path) -> BddlGroup:
-    """Return the one expression of a file; raises :class:`ImportRefusedError`."""
+    """Return the single expression of a file; raises :class:`ImportRefusedError`."""
     if path.stat().st_size > MAX_BYTES:
         raise ImportRefusedError(path, f"it is larger than {MAX_BYTES >> 20} MiB, which no task is")
     try:

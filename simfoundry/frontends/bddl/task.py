@@ -1,4 +1,4 @@
-"""Convert a BDDL problem to a task: its names bound to the scene's objects, its regions to starts and goals."""
+"""Convert a BDDL problem to a task: bind names to scene objects, and convert regions to starts and goals."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ _SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
 def read_bddl_task(
     path: Path, _spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """Read the task of a BDDL file for a scene; ``bound`` of the options has objects for names that do not tell.
+    """Read the task of a BDDL file for a scene; ``bound`` of the options maps names that cannot be resolved to objects.
 
-    Raises :class:`ImportRefusedError`, which names everything that is missing, each with its line.
+    Raises :class:`ImportRefusedError`, which lists all missing elements with their lines.
     """
     problem = read_problem(path)
     draft = ModelDraft(problem.name, "BDDL")
@@ -63,7 +63,7 @@ def read_bddl_task(
 
 @dataclass
 class _TaskReader:
-    """One problem while it is turned into a task."""
+    """State of converting one problem to a task."""
 
     problem: BddlProblem
     scene: Scene
@@ -82,7 +82,7 @@ class _TaskReader:
         return found
 
     def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Condition | None:
-        """One predicate of the goal; None where something of it is missing."""
+        """Return one predicate of the goal; None if a part of it is missing."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
         if name in (*OPEN, *CLOSE) and len(words) == 1:
@@ -110,13 +110,13 @@ class _TaskReader:
         return text
 
     def _put_in(self, target: str) -> bool:
-        """Return whether the instruction asks for something to go into an object."""
+        """Return True if the instruction asks to put something into the object."""
         noun = re.escape((self.scene.object(target.partition(".")[0]).category or target).rpartition("_")[2])
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
     def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Condition | None:
-        """A goal region on a table is a point here, within the tolerance of `At`."""
+        """Convert a goal region on a table to its center, within the tolerance of `At`."""
         box = self._rectangle(group, region)
         if box is None:
             return None
@@ -125,7 +125,7 @@ class _TaskReader:
         return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
     def _object(self, group: BddlGroup, name: str) -> str | None:
-        """The scene's object for a name."""
+        """Return the scene object for a name."""
         found = bind(name, self.problem, self.scene, self.bound)
         if found is None and name not in self.unbound:
             self.unbound.add(name)
@@ -135,7 +135,7 @@ class _TaskReader:
         return found
 
     def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
-        """The object or link for a name, or for that of a region."""
+        """Return the object or link for the name of an object or region."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if region is None or owner is None:
@@ -151,7 +151,7 @@ class _TaskReader:
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:
-        """The joints for a name, or for that of a region, as ``object.joint``."""
+        """Return the joints for the name of an object or region, as ``object.joint``."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if owner is None:
@@ -170,7 +170,7 @@ class _TaskReader:
         self._lack(group, f"{which} the `{region.name}` of `{owner}`")
 
     def _rectangle(self, group: BddlGroup, region: BddlRegion) -> tuple[float, float, float, float] | None:
-        """The rectangle of a region in the world, square to its axes [m]."""
+        """Return the axis-aligned rectangle of a region in the world [m]."""
         owner = self._object(group, region.target)
         if owner is None or region.ranges is None:
             return None
@@ -181,7 +181,7 @@ class _TaskReader:
         return min(xs), min(ys), max(xs), max(ys)
 
     def start(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the differences from the scene at the start, and the regions of the reset."""
+        """Return the differences of the start from the scene, and the reset regions."""
         joints: dict[str, dict[str, float]] = {}
         regions: dict[str, Any] = {}
         for group in self.problem.init:
@@ -221,7 +221,7 @@ class _TaskReader:
 
 
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
-    """Return the scene's object for a name of a problem: the bound one, or that of its name, or its type and number."""
+    """Return the scene object for a name of a problem: bound explicitly, or matched by name, or by type and number."""
     if name in bound:
         return bound[name]
     there = {item.name: item for item in scene.objects}
@@ -237,18 +237,18 @@ def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]
 
 
 def _type(kind: str) -> str:
-    """The word of a type: `mug` of the synset `mug.n.04`."""
+    """Return the base word of a type: `mug` for the synset `mug.n.04`."""
     return _SYNSET.sub(r"\1", kind)
 
 
 def _opened(item: SceneObject, name: str) -> float:
-    """The open position of a joint: the limit that is farther from zero [rad or m], or a quarter turn."""
+    """Return the open position of a joint [rad or m]: the limit farther from zero, or a quarter turn without limits."""
     joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """The parts that match the name of a region: the one of that name, or those that share a word with it."""
+    """Return the parts that match the name of a region: the part with that name, or parts that share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]
@@ -257,7 +257,7 @@ def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
 
 
 def _words(name: str) -> set[str]:
-    """The words of a name that tell one part from another."""
+    """Return the words of a name that distinguish parts from each other."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
 
 

@@ -1,4 +1,4 @@
-"""MJCF in, read and compiled by MuJoCo itself."""
+"""MJCF importer; MuJoCo itself parses and compiles the files."""
 
 from simfoundry.frontends.mjcf.reader import read_mjcf
 

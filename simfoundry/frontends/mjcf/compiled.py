@@ -1,4 +1,4 @@
-"""Restore MJCF that SimFoundry compiled: its names and custom fields hold what MJCF cannot express of the scene.
+"""Restore scenes from compiled MJCF, whose names and custom fields contain what MJCF cannot express.
 
 See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the fields.
 """
@@ -29,19 +29,19 @@ BACKGROUND = ":background:"
 """Prefix of the visual geoms of the background."""
 
 ROBOT, MOUNT = ":robot", ":mount"
-"""Suffixes of the texts that hold the fields of a robot and the frame that carries a camera."""
+"""Suffixes of the custom texts with the fields of a robot and the parent frame of a camera."""
 
 
 @dataclass(frozen=True)
 class CustomFields:
-    """The custom texts and numbers of a file of ours, by name."""
+    """Custom texts and numbers of a compiled file, by name."""
 
     texts: Mapping[str, str]
     numbers: Mapping[str, tuple[float, ...]]
 
 
 def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
-    """Return the custom texts and numbers of a compiled model; None where it is not of our making."""
+    """Return the custom texts and numbers of a compiled model; None if SimFoundry did not compile it."""
     kinds = mujoco.mjtObj
     texts, numbers = {}, {}
     data = bytes(model.text_data)
@@ -80,7 +80,7 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
 
 
 def _take_camera(source: MjcfSource, own: CustomFields, k: int, robot: str) -> None:
-    """A camera on one of the robot's frames; where no text names the frame, on the link that carries it."""
+    """Add a camera on one of the robot's frames or, if no text names the frame, on the link to which it is attached."""
     camera, model = read_camera(source, k), source.model
     if camera is None:
         return
@@ -94,7 +94,7 @@ def _take_camera(source: MjcfSource, own: CustomFields, k: int, robot: str) -> N
 
 
 def _without_bodies(path: Path, mujoco: Any, names: list[str]) -> Any:
-    """The model without some bodies of the world. Robots come after all objects, so theirs are the last coordinates."""
+    """Return the model without some bodies of the world. Robots come after objects, so their coordinates are last."""
     spec = mujoco.MjSpec.from_file(str(path))
     states = [(key.name, list(key.qpos), list(key.ctrl)) for key in spec.keys]
     for key in list(spec.keys):
@@ -108,9 +108,9 @@ def _without_bodies(path: Path, mujoco: Any, names: list[str]) -> Any:
 
 
 def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], free_joints: Mapping[str, str]) -> None:
-    """Give a draft the names of its scene, and join the parts of one object.
+    """Restore the scene names in a draft, and join the parts of each object.
 
-    ``poses`` are those of MuJoCo's bodies in the world, and ``free_joints`` the names of free joints, by body.
+    ``poses`` are the poses of MuJoCo's bodies in the world, and ``free_joints`` the names of free joints, by body.
     """
     owners = {body.name: body for body in draft.bodies if f"{body.name}:root" in own.texts}
     _rename_places(draft, owners, own)
@@ -131,7 +131,7 @@ def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], fre
     draft.relations = [text for text in own.texts.get("relations", "").split("; ") if text]
     for name, values in own.numbers.items():
         if name.endswith(":dome"):
-            strength = max(*values, 1e-9)  # a black light has no colour
+            strength = max(*values, 1e-9)  # a black light has no hue
             red, green, blue = (v / strength for v in values)
             draft.lights.append(LightDraft(name.removesuffix(":dome"), "dome", max(values), (red, green, blue)))
 
@@ -141,7 +141,7 @@ def _link_name(qualified: str, owner: str, own: CustomFields) -> str:
 
 
 def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: CustomFields) -> None:
-    """Rename the links that cameras and excluded pairs name."""
+    """Rename the links in cameras and excluded pairs."""
 
     def place(end: LinkPath) -> LinkPath:
         owner = end[0].partition(".")[0]
@@ -159,7 +159,7 @@ def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: Cust
 
 
 def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
-    """Give links, joints and parts their names without the object's before them."""
+    """Remove the object's prefix from the names of links, joints and parts."""
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
@@ -177,12 +177,12 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
         link.name = names[old]
     body.links = {link.name: link for link in body.links.values()}
     body.root = names[body.root]
-    # Pairs of its own links were added before or after the renaming, so either name may be there.
+    # Pairs of its own links may have been added before or after renaming, so they can have either name.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
 
 
 def _free_joint(body: BodyDraft, owner: str, own: CustomFields, poses: Mapping[str, Pose], name: str) -> JointDraft:
-    """The free joint between a loose part of an object and its parent link."""
+    """Return the free joint between a loose part of an object and its parent link."""
     parent, zero = own.texts[f"{body.name}:parent"], own.numbers[f"{body.name}:zero"]
     X_PC = Pose.of(zero[:3], zero[3:])
     below = owner if parent == own.texts[f"{owner}:root"] else f"{owner}.{parent}"

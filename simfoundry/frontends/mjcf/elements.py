@@ -1,4 +1,4 @@
-"""Elements of a MuJoCo model beside its bodies: equalities, actuators, contact rules, cameras, lights, the rest."""
+"""Read elements of a MuJoCo model other than bodies: equalities, actuators, contact rules, cameras, lights, etc."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from simfoundry.frontends.xmltree import Element
 from simfoundry.geometry.frames import Pose
 
 PICTURE = (640, 480)
-"""Size [px] of a camera that gives none: that of MuJoCo's offscreen buffer."""
+"""Default size [px] of a camera: that of MuJoCo's offscreen buffer."""
 
 MAX_PAIRS = 2_000_000
-"""Pairs of geoms that are compared for contact masks: they take some seconds."""
+"""Largest number of geom pairs that are compared for contact masks, which takes some seconds."""
 
 NO_WORD = "the language has no word for it"
 
 
 def add_elements(source: MjcfSource, roots: list[Element]) -> None:
-    """Add everything beside the bodies to the draft; elements that it cannot hold are noted."""
+    """Add all elements other than bodies to the draft; unsupported elements are recorded."""
     _add_mimics(source)
     _add_drives(source)
     _add_exclusions(source)
-    if not source.is_own:  # in our files pairs and masks follow from the contact parameters of the geoms
+    if not source.is_own:  # in compiled files, pairs and masks follow from the contact parameters of the geoms
         _add_masks(source)
     _add_cameras(source)
     _add_lights(source)
@@ -37,7 +37,7 @@ def add_elements(source: MjcfSource, roots: list[Element]) -> None:
 
 
 def _add_mimics(source: MjcfSource) -> None:
-    """Joints that follow joints; every other equality is noted."""
+    """Add mimic joints; every other equality constraint is recorded as dropped."""
     mujoco, model, joints = source.mujoco, source.model, source.joints
     for k in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[k]))
@@ -57,7 +57,7 @@ def _add_mimics(source: MjcfSource) -> None:
 
 
 def _add_drives(source: MjcfSource) -> None:
-    """Position and velocity servos as drives, springs of joints too; every other actuator is noted."""
+    """Add position and velocity servos and joint springs as drives; every other actuator is recorded as dropped."""
     mujoco, model, draft, joints = source.mujoco, source.model, source.draft, source.joints
     for k in range(model.nu):
         what, joint = f"actuator {source.label('actuator', k)}", int(model.actuator_trnid[k, 0])
@@ -92,7 +92,7 @@ def _add_drives(source: MjcfSource) -> None:
 
 
 def _add_exclusions(source: MjcfSource) -> None:
-    """Pairs of bodies that `<exclude>` names; those of proxy geoms of ours are none of the scene's."""
+    """Add the pairs of bodies in `<exclude>`, except those of compiled proxy geoms."""
     for k, signature in enumerate(source.model.exclude_signature.tolist()):
         one, two = signature >> 16, signature & 0xFFFF
         if not source.is_own or (one in source.owners and two in source.owners):
@@ -100,7 +100,7 @@ def _add_exclusions(source: MjcfSource) -> None:
 
 
 def _add_masks(source: MjcfSource) -> None:
-    """Pairs of bodies that contact masks keep apart; masks that divide the geoms of a body are noted."""
+    """Add the pairs of bodies that contact masks exclude; masks that differ within a body are recorded as dropped."""
     model, draft, owners = source.model, source.draft, source.owners
     if model.npair:
         draft.dropped("contact pairs with parameters of their own", NO_WORD, f"{model.npair}")
@@ -147,7 +147,7 @@ def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
 
 
 def _add_cameras(source: MjcfSource) -> None:
-    """Cameras that are fixed in the world or to a body."""
+    """Add cameras that are fixed to the world or to a body."""
     for k, body in enumerate(source.model.cam_bodyid.tolist()):
         camera = read_camera(source, k)
         if camera is None:
@@ -160,12 +160,12 @@ def _add_cameras(source: MjcfSource) -> None:
 
 
 def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
-    """Return the k-th camera, in the frame of its body; None, with a note, where it is no pinhole."""
+    """Return camera ``k`` in the frame of its body; record it and return None if it is not a pinhole camera."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
         draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
-    # MuJoCo 3.5 replaced the flag by a kind of projection, of which 1 is orthographic.
+    # MuJoCo 3.5 replaced the flag by an enum of projections, in which 1 is orthographic.
     projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
     if int(projections[k]) == 1:
         draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
@@ -187,7 +187,7 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
 
 
 def _add_lights(source: MjcfSource) -> None:
-    """Lights that stand in the world."""
+    """Add lights that are fixed to the world."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     for k in range(model.nlight):
         name = source.name("light", k) or f"light_{k + 1}"
@@ -209,11 +209,11 @@ def _add_lights(source: MjcfSource) -> None:
 
 
 _LEFT_OUT = ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple")
-"""Kinds of elements that are left out."""
+"""Kinds of elements that are omitted."""
 
 
 def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
-    """Note every element that is left out, by kind and name."""
+    """Record every omitted element by kind and name."""
     model, draft = source.model, source.draft
     for kind in _LEFT_OUT:
         for k in range(int(getattr(model, f"n{kind}", 0))):

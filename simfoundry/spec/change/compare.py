@@ -1,4 +1,4 @@
-"""Compare two states of a document: the changes as data and in words, and the errors of either state."""
+"""Compare two states of a document: changes as data and as text, and the errors of each state."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from simfoundry.spec.yaml.write import to_data
 
 @dataclass(frozen=True)
 class Side:
-    """State of a document; ``label`` is its name for people (``HEAD~1:desk.scene.yaml``).
+    """State of a document; ``label`` is its display name (``HEAD~1:desk.scene.yaml``).
 
-    ``spec`` is what is sound of it, None where nothing is; ``text`` as it stands in the file.
+    ``spec`` is the valid part of the document, or None if no part is valid; ``text`` is the file content.
     """
 
     label: str
@@ -39,13 +39,13 @@ class Side:
 
     @cached_property
     def data(self) -> dict[str, Any]:
-        """Plain data without defaults."""
+        """Return the document as plain data without defaults."""
         return to_data(self.spec) if self.spec is not None else {}
 
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """Two states of the document ``name``; a side is None where there was or is no such document."""
+    """Two states of the document ``name``; a side is None if the document does not exist in that state."""
 
     name: str
     old: Side | None
@@ -53,21 +53,21 @@ class DocumentComparison:
     changes: tuple[Change, ...]
     entries: tuple[MemberChange, ...]
     obstacle: str = ""
-    """Why the two cannot be compared, where they cannot."""
+    """Reason why the two states cannot be compared; empty if they can."""
 
     @property
     def differs(self) -> bool:
-        """True unless the two states differ in layout only."""
+        """Return True unless the two states differ only in layout."""
         return bool(self.changes or self.entries or self.obstacle or self.old is None or self.new is None)
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
-        """The errors of both sides."""
+        """Return the errors of both sides."""
         return tuple(d for side in (self.old, self.new) if side is not None for d in side.findings)
 
     @property
     def along(self) -> tuple[str, ...]:
-        """Objects whose own text is unchanged but which moved with the object that their place names."""
+        """Return the objects that moved only because the object their place refers to moved."""
         if self.new is None or not isinstance(self.new.spec, SceneSpec):
             return ()
         named = {e.name for e in self.entries if e.section == "objects"}
@@ -78,7 +78,7 @@ class DocumentComparison:
         return tuple(name for name in places if name in gone - named)
 
     def lines(self) -> list[str]:
-        """Return the changes, and a line that counts them."""
+        """Return the changes, followed by a line that counts them."""
         if self.obstacle:
             return [f"cannot be compared: {self.obstacle}"]
         if self.old is None or self.new is None:
@@ -94,7 +94,7 @@ class DocumentComparison:
 
 
 def _anchors(place: Place) -> set[str]:
-    """Return the objects that fix the horizontal position of a place."""
+    """Return the objects that determine the horizontal position of a place."""
     if place.xy is not None:
         return set()
     beside = {n for n in (place.left_of, place.right_of, place.in_front_of, place.behind) if n is not None}
@@ -102,7 +102,7 @@ def _anchors(place: Place) -> set[str]:
 
 
 def side(path: Path, label: str, root: Path | None = None) -> Side:
-    """Read one state of a document from a file; findings name it by ``label``, and their files by its revision."""
+    """Read one state of a document from a file; findings use ``label`` and its revision as file names."""
     loaded = load(path, root)
     spec = loaded.spec or _sound(loaded)
     text_ = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
@@ -113,7 +113,7 @@ def side(path: Path, label: str, root: Path | None = None) -> Side:
 def compare(
     name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True
 ) -> DocumentComparison:
-    """Compare two states of a document, and (unless ``files`` is false) the files that both refer to."""
+    """Compare two states of a document and, unless ``files`` is false, the files that both refer to."""
     present = [s for s in (old, new) if s is not None]
     unsound = [s for s in present if s.spec is None]
     if unsound:
@@ -142,7 +142,7 @@ def _named_alike(old: Side, new: Side) -> dict[str, Any]:
 
 
 def _sound(loaded: Loaded) -> DocumentSpec | None:
-    """Return the sound part of a document with errors; None if a document that it extends is missing."""
+    """Return the valid part of a document with errors; None if a document that it extends is missing."""
     document = loaded.document
     if document is None or not isinstance(document.data, dict):
         return None
@@ -153,7 +153,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a finding that names its file as the reader knows it."""
+    """Return a copy of a finding whose file is the display name of the side."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -187,7 +187,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
 
 
 def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
-    """Return objects whose text is unchanged but whose asset or mesh file differs."""
+    """Return changes of objects whose text is unchanged but whose asset or mesh file differs."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
     entries = []
@@ -204,7 +204,7 @@ def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
 
 
 def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str:
-    """Summarize the changes of a file that both sides refer to; empty if it is the same."""
+    """Summarize the changes of a file that both sides refer to; empty if the file is unchanged."""
     before, after = old.used(reference), new.used(reference)
     if before is None or after is None:
         return f"{reference} is another file" if _bytes(old, reference) != _bytes(new, reference) else ""

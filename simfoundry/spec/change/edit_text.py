@@ -1,9 +1,9 @@
-"""Edit the text of a document: other data, and every byte that the edit does not concern stays as it was.
+"""Edit the text of a document in place; bytes that the edit does not affect stay unchanged.
 
-The difference between the data of the text and the data that is wanted is applied change by change: a value is replaced
-where it stands, a member goes with the comments above it, a new one follows its neighbour in canonical form. A text in
-which a change has no such place, as where an anchor is edited that others refer to, is written anew in canonical form,
-which keeps comments.
+The difference between the current data and the target data is applied change by change. A value is replaced in place, a
+member is removed together with the comments above it, and a new member is inserted after its neighbour in canonical
+form. If a change cannot be applied in place, for example an edit of an anchor that has aliases, the whole text is
+rewritten in canonical form; comments are kept.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ _BOM = "\ufeff"
 
 
 class _Absent:
-    """The value of a key that is not there."""
+    """Marker for the value of a missing key."""
 
 
 ABSENT = _Absent()
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
-    """Return ``text`` with ``data`` for its content; bytes that the difference does not concern stay.
+    """Return ``text`` edited so that it contains ``data``; bytes that the difference does not affect stay unchanged.
 
-    The order of keys in ``data`` means nothing. Raises :class:`YamlError` if ``text`` cannot be read.
+    The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` cannot be read.
     """
     body = text.removeprefix(_BOM)
     document = parse(body)
@@ -59,10 +59,10 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
 
 
 def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
-    """Return what a document must say itself so that, with what it extends, ``before`` becomes ``after``.
+    """Return the document's own data that, joined with its base, changes ``before`` into ``after``.
 
-    ``own`` is what it says now and ``base`` what it extends says, both at the same place; :data:`ABSENT` stands for
-    nothing. What the base has and ``after`` has not is removed by null.
+    ``own`` is the document's current data and ``base`` the data of the document that it extends, both at the same path;
+    :data:`ABSENT` means that there is none. Members of the base that ``after`` lacks are removed with null.
     """
     if before is not ABSENT and after is not ABSENT and same(before, after):
         return own
@@ -83,7 +83,7 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
 
 
 def _same_content(a: Any, b: Any) -> bool:
-    """Return whether two values are the same but for the order of keys and the spelling of predicates."""
+    """Return True if two values are equal up to the order of keys and the spelling of predicates."""
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_same_content(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
@@ -95,10 +95,10 @@ def _same_content(a: Any, b: Any) -> bool:
 
 @dataclass(slots=True)
 class _Span:
-    """Position of a value in a text: [start, end), and its key from ``key`` on (-1 without one).
+    """Position of a value in a text: [start, end); its key starts at ``key`` (-1 if it has no key).
 
-    ``children`` are those of a block collection or of a mapping in braces; None for what is replaced as a whole:
-    scalars, aliases, lists in brackets, and braces in which a text has a comma.
+    ``children`` are the members of a block collection or of a mapping in braces. It is None for values that are
+    replaced as a whole: scalars, aliases, lists in brackets, and mappings in braces that contain a string with a comma.
     """
 
     start: int
@@ -109,7 +109,7 @@ class _Span:
 
 
 def _spans(text: str) -> _Span:
-    """Find where every value of a text stands."""
+    """Locate every value in a text."""
     events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     for event in events:
         if not isinstance(event, yaml.StreamStartEvent | yaml.DocumentStartEvent):
@@ -142,7 +142,7 @@ def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
 
 
 def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
-    """Yield events up to one of a kind, whose end goes to ``ends``."""
+    """Yield events until one of type ``kind``, and append its end position to ``ends``."""
     for event in events:
         if isinstance(event, kind):
             ends.append(event.end_mark.index)
@@ -151,12 +151,12 @@ def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
 
 
 Splice = tuple[int, int, str]
-"""Replace [start, end) of a text."""
+"""Replacement of [start, end) of a text by a new text."""
 
 
 @dataclass
 class _Round:
-    """One kind of changes of a text: names, else values, else one member that goes or comes."""
+    """One pass over a text; it applies renames, else value changes, else one removed or added member."""
 
     document: Document
     data: Any
@@ -169,7 +169,7 @@ class _Round:
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
     def splices(self) -> list[Splice]:
-        """Return what to replace next; nothing where the changes have no place of their own."""
+        """Return the next replacements; empty if the changes cannot be applied in place."""
         changes: list[Change] = [*diff(self.document.data, self.data)]
         renames = [self._key(c) for c in changes if isinstance(c, Rename)]
         if renames:
@@ -190,13 +190,13 @@ class _Round:
 
     @staticmethod
     def _without_nested(splices: list[Splice]) -> list[Splice]:
-        """Leave out what another splice replaces already."""
+        """Drop splices that lie within another splice."""
         return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
 
-    # -- places -----------------------------------------------------------------------------------------------------
+    # -- positions --------------------------------------------------------------------------------------------------
 
     def _steps(self, path: Path_) -> list[_Span]:
-        """Return the spans along a path, the whole text first, as far as there are some."""
+        """Return the spans along a path, starting with the whole text, down to the last one that exists."""
         spans, data = [self.root], self.document.data
         for k, part in enumerate(path):
             here, children = members(data, path[:k]), spans[-1].children
@@ -212,7 +212,7 @@ class _Round:
         return spans
 
     def _place(self, path: Path_) -> Path_:
-        """Return the longest part of a path that stands in the text."""
+        """Return the longest prefix of a path that exists in the text."""
         return path[: len(self._steps(path)) - 1]
 
     def _tree(self, path: Path_) -> YamlTree:
@@ -231,17 +231,17 @@ class _Round:
         return data
 
     def _line(self, index: int) -> int:
-        """Return where the line of a place starts."""
+        """Return the start of the line that contains ``index``."""
         return self.text.rfind("\n", 0, index) + 1
 
     def _line_end(self, index: int) -> int:
-        """Return where the line of a place ends, before its line break."""
+        """Return the end of the line that contains ``index``, before the line break."""
         end = self.text.find("\n", index)
         end = len(self.text) if end < 0 else end
         return end - (self.text[end - 1 : end] == "\r")
 
     def _entry_end(self, span: _Span) -> int:
-        """Return where the last line of a block entry ends, with the comments below that are indented deeper."""
+        """Return the end of the last line of a block entry, including comments below it that are indented deeper."""
         end, column = self._line_end(span.end), span.key - self._line(span.key)
         while (start := self.text.find("\n", end) + 1) > 0:
             line = self.text[start : self._line_end(start)]
@@ -251,7 +251,7 @@ class _Round:
         return end
 
     def _above(self, path: Path_, start: int) -> int:
-        """Return where the comments above an entry start whose line starts at ``start``."""
+        """Return the start of the comments above the entry whose line starts at ``start``."""
         for _ in self._tree(path).above:
             above = self._line(start - 1)
             if start == 0 or not self.text[above:start].lstrip().startswith("#"):
@@ -270,7 +270,7 @@ class _Round:
         return (key, key + len(rename.old), rename.new) if same_text else None
 
     def _value(self, path: Path_) -> Splice | None:
-        """Replace the value at a path by the one that is wanted."""
+        """Return the splice that replaces the value at a path with the target value."""
         steps, wanted = self._steps(path), self._wanted(path)
         if not path or wanted is ABSENT:
             return None
@@ -286,7 +286,7 @@ class _Round:
         return self._entry(path)
 
     def _entry(self, path: Path_) -> Splice | None:
-        """Write the nearest entry of a block mapping at or above a path anew, in canonical form, with its comments."""
+        """Rewrite the nearest block mapping entry at or above a path in canonical form, with its comments."""
         while path:
             steps = self._steps(path)
             span, parent = steps[-1], steps[-2]
@@ -301,7 +301,7 @@ class _Round:
 
     def _removal(self, path: Path_) -> Splice | None:
         steps = self._steps(path)
-        if len(steps) <= len(path):  # inside something that is replaced as a whole
+        if len(steps) <= len(path):  # inside a value that is replaced as a whole
             return self._value(self._place(path))
         span, parent = steps[-1], steps[-2]
         siblings = list(parent.children.values() if isinstance(parent.children, dict) else parent.children or ())
@@ -349,14 +349,14 @@ class _Round:
         return self._new_entry(path, value, parent.children, before)
 
     def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice | None:
-        """Write a new entry of a block mapping behind its neighbour."""
+        """Insert a new entry of a block mapping after its neighbour."""
         anchor = before or next(iter(siblings.values()))
         column = anchor.key - self._line(anchor.key)
         lines = entry_lines(plain_tree(value), path, self.model, column)
         if before is None:
             first = next(key for key, span in siblings.items() if span is anchor)
             start = self._above((*path[:-1], first), self._line(anchor.key))
-            if self.text[self._line(anchor.key) : anchor.key].strip():  # behind the dash of an item
+            if self.text[self._line(anchor.key) : anchor.key].strip():  # after the dash of a list item
                 return anchor.key, anchor.key, self.newline.join(lines)[column:] + self.newline + " " * column
             return start, start, self.newline.join(lines) + self.newline
         start = self._line(before.key)
@@ -367,7 +367,7 @@ class _Round:
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
     def _neighbour(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
-        """Return the entry that a new one follows: the last of those that come before it in canonical order."""
+        """Return the entry after which a new one is inserted: the last entry before it in canonical order."""
         slot: KeyOrder = key_order(self.model)
         for part in path[:-1]:
             slot = slot.member(part)

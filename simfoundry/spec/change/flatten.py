@@ -1,4 +1,4 @@
-"""Flatten a document: join the documents that it extends, and write out every default."""
+"""Flatten a document: join it with the documents that it extends, and write out every default."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from simfoundry.spec.yaml.write import write_tree
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
     """Return the canonical text of a composed document with the values of all defaults.
 
-    What has no value of its own (a friction that is the material's) stays out. Flattening the text again gives the same
-    text. Files that it names stay relative to ``folder``, that of the document, or become relative to ``into``.
+    Fields without a value of their own (such as a friction coefficient that comes from the material) are omitted.
+    Flattening the result again gives the same text. File references stay relative to ``folder``, the document's folder,
+    or become relative to ``into``.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -29,7 +30,7 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
 
 
 def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
-    """Return the data of a document in ``folder`` with its file references relative to ``into``."""
+    """Return the data of a document in ``folder`` with file references relative to ``into``."""
     if folder.resolve() != into.resolve():
         step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
         for pattern in file_patterns(model):
@@ -38,12 +39,12 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 of a flattened text in hex; equal documents have equal digests, however they are written."""
+    """Return the SHA-256 of a flattened text in hex; it does not depend on how a document is formatted."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def full(spec: Model) -> dict[str, Any]:
-    """Return the plain data of a part of a document with its defaults, in canonical order."""
+    """Return the plain data of a part of a document, including defaults, in canonical order."""
     given = {name for name in spec.model_fields_set if getattr(spec, name) is not None}
     out: dict[str, Any] = {}
     for name in field_order(type(spec)):

@@ -1,4 +1,4 @@
-"""Format a document canonically: same meaning, same comments, one way to write each value."""
+"""Format documents canonically; meaning and comments are preserved, and each value has one notation."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _MODELINE = re.compile(r"#\s*yaml-language-server:\s*\$schema=(\S+)\s*\Z")
 
 @dataclass(frozen=True)
 class Formatted:
-    """A text before and after formatting."""
+    """Text before and after formatting."""
 
     before: str
     after: str
 
     @property
     def changed(self) -> bool:
-        """True if the text was not in canonical form."""
+        """Return True if the text was not in canonical form."""
         return self.before != self.after
 
 
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
     """Return the canonical form of a document; raises :class:`SpecError` if the text cannot be read.
 
-    With ``schema``, a relative path or a URL, the first line names it for editors; without, the line that the text has
-    for this is kept.
+    If ``schema`` (a relative path or a URL) is given, the first line names it for editors; otherwise an existing schema
+    line is kept.
     """
     try:
         document = parse(text, file)
@@ -49,8 +49,9 @@ def format_text(text: str, file: str = "<text>", schema: str | None = None) -> s
 def format_file(path: Path) -> Formatted:
     """Format a document without writing it. Raises :class:`SpecError` if it cannot be read.
 
-    Where the schema of its kind lies in ``schemas/`` or ``.simfoundry/schemas/`` of a folder above it in the project,
-    the first line names it for editors; a line that names another place is kept where that exists or is a URL.
+    If ``schemas/`` or ``.simfoundry/schemas/`` in a parent folder within the project contains the schema of the
+    document's kind, the first line names that schema for editors. A line that names another schema is kept if that
+    schema exists or is a URL.
     """
     try:
         document = read(path)
@@ -61,9 +62,9 @@ def format_file(path: Path) -> Formatted:
 
 
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
-    """Return the path of the schema that the first line should name; None if it may stay as it is.
+    """Return the path of the schema that the first line should name; None if the line can stay as it is.
 
-    It is looked for up to ``root``, by default that of the document's project.
+    The search goes up to ``root``, by default the root of the document's project.
     """
     tree = YamlTree(None, tuple(_top_comments(document.text)))
     named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
@@ -82,7 +83,7 @@ def schema_line(path: Path, document: Document, root: Path | None = None) -> str
 
 
 def _top_comments(text: str) -> list[str]:
-    """Return the comments above everything else."""
+    """Return the comments at the top of the text."""
     top = re.match(r"\ufeff?(?:[ \t]*(?:#.*)?(?:\r\n|\r|\n|\Z))*", text)
     return [line.strip() for line in top[0].removeprefix("\ufeff").splitlines() if line.strip()] if top else []
 

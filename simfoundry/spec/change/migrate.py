@@ -1,4 +1,4 @@
-"""Older documents brought up to date: keys by their present names, versions step by step; comments stay."""
+"""Migrate older documents: rename former keys and apply version migrations step by step; comments are kept."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from simfoundry.spec.yaml.write import write_tree
 
 @dataclass(frozen=True)
 class Migration:
-    """The step from one version of a kind to the version ``to``, and how it changes a document."""
+    """Step that converts a document from one version of its kind to the version ``to``."""
 
     to: str
     change: Callable[[YamlTree], YamlTree]
 
 
 STEPS: Mapping[str, Migration] = {}
-"""The migration from each older kind and version, as ``scene/1``.
+"""Migration from each older kind and version, such as ``scene/1``.
 
-Version 1 is the first of every kind, so there is none yet: a change of what older files mean adds its migration here.
-A key that merely gets another name needs none: its field says what it was called before (``FormerKey``).
+Version 1 is the first version of every kind, so there are none yet. A change that alters the meaning of older files
+adds a migration here. A renamed key needs no migration; its field lists the former name (``FormerKey``).
 """
 
 _LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-"""Where the parser starts a new line."""
+"""Line breaks as the parser recognizes them."""
 
 
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
-    """Return the text of a document in the newest version of its kind, its keys by their present names.
+    """Return the text of a document in the latest version of its kind, with current key names.
 
-    A text that is up to date comes back as it is; where a version changed, the text is canonical. Raises
-    :class:`SpecError` for an unknown kind.
+    A text that is already up to date is returned unchanged. If the version changed, the result is in canonical form.
+    Raises :class:`SpecError` for an unknown kind.
     """
     document = _parsed(text, file)
     kind = _kind(document, steps)
@@ -64,7 +64,7 @@ def _parsed(text: str, file: str) -> Document:
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """The kind that the document names; raises :class:`SpecError` if there never was such a kind."""
+    """Return the kind that the document names; raises :class:`SpecError` if no such kind ever existed."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
@@ -76,7 +76,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
 
 
 def _with_present_keys(document: Document, kind: str) -> str:
-    """Rename keys where they stand in the text, and touch nothing else."""
+    """Rename former keys in the text, and change nothing else."""
     text = document.text
     starts = [0, *(found.end() for found in _LINE_BREAK.finditer(text))]
     edits: dict[int, tuple[str, str]] = {}

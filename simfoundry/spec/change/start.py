@@ -1,4 +1,4 @@
-"""A scene document with what the start of a task changes in it."""
+"""Apply the start of a task to a scene document."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from simfoundry.spec.models.task import Start
 
 
 def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
-    """Return the document with its objects where starts put them, the later on top of the earlier."""
+    """Return the document with its objects moved as the starts specify; later starts override earlier ones."""
     objects = dict(spec.objects)
     for start in starts:
         for name, place in start.place.items():

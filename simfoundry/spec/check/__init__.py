@@ -1,1 +1,1 @@
-"""Checks beyond types: names, files and plausible values; and how findings are reported."""
+"""Checks beyond types (names, files, plausible values) and reports of the findings."""

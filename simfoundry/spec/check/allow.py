@@ -1,4 +1,4 @@
-"""Apply ``allow``: warnings that are silenced, each with a reason."""
+"""Apply ``allow``, which silences warnings with a reason for each."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Allow = Mapping[str, str | dict[str, str]]
 
 
 def sift(findings: Iterable[Diagnostic], allow: Allow) -> tuple[list[Diagnostic], list[Diagnostic]]:
-    """Split findings into those that stay and the warnings that ``allow`` silences."""
+    """Split findings into those that are reported and the warnings that ``allow`` silences."""
     kept, silenced = list[Diagnostic](), list[Diagnostic]()
     for d in findings:
         (silenced if d.severity is Severity.WARNING and _silences(allow.get(d.code), d) else kept).append(d)
@@ -19,7 +19,7 @@ def sift(findings: Iterable[Diagnostic], allow: Allow) -> tuple[list[Diagnostic]
 
 
 def unused(document: Document, allow: Allow, silenced: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
-    """Yield a warning for each entry of ``allow`` that silenced nothing; call it after all lints."""
+    """Yield a warning for each unused entry of ``allow``; call this after all lints."""
     heard = list(silenced)
     for code, entry in allow.items():
         of_code = [d for d in heard if d.code == code]

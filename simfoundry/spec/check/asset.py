@@ -47,11 +47,11 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
 
 
 MAX_CHAIN = 200
-"""So many links may carry each other: readers of XML and simulators follow a chain by calling themselves."""
+"""Largest depth of the link tree: XML readers and simulators traverse a chain recursively."""
 
 
 def _tree(c: Checker, spec: AssetSpec) -> None:
-    """Check that every link but the first is the child of exactly one joint, and none its own ancestor."""
+    """Check that every link except the first is the child of exactly one joint, and that there are no cycles."""
     parents: dict[str, str] = {}
     carriers: dict[str, str] = {}
     links = c.names("links")
@@ -71,7 +71,7 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
             c.add("SF206", ("links", link), f"`{link}` is not the child of any joint", "add a joint with it as `child`")
         elif link in set(_ancestors(link, parents)):
             place = ("joints", carriers[link], "parent")
-            c.add("SF206", place, f"`{link}` is its own ancestor through a ring of joints")
+            c.add("SF206", place, f"`{link}` is its own ancestor through a cycle of joints")
         elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:
             message = f"`{link}` is at the end of a chain of more than {MAX_CHAIN} links"
             c.add(
@@ -81,7 +81,7 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
 
 
 def _mimics(c: Checker, spec: AssetSpec) -> None:
-    """Check that each mimic joint follows a joint with one axis, and none follows itself."""
+    """Check that each mimic joint follows a joint with one axis, and that there are no cycles."""
     leaders = {name: joint.mimic.joint for name, joint in spec.joints.items() if joint.mimic is not None}
     for name, leader in leaders.items():
         path = ("joints", name, "mimic", "joint")

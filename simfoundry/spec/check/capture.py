@@ -1,4 +1,4 @@
-"""Check captures: the image files that they name."""
+"""Check captures: the image files that they refer to."""
 
 from __future__ import annotations
 

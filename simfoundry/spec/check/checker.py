@@ -1,4 +1,4 @@
-"""Checks that all kinds of document share."""
+"""Checks shared by all kinds of documents."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from simfoundry.spec.yaml.text import Document
 
 Path_ = tuple[str | int, ...]
 Use = Callable[[Path, tuple[str, ...]], Loaded | None]
-"""Reads and checks a document of one of some kinds; None for a document of another kind."""
+"""Function that reads and checks a document of one of the given kinds; None for a document of another kind."""
 
 
 class Checker:
-    """Collects findings of one document beyond its types.
+    """Collects the findings of one document beyond type errors.
 
-    Where the document is not ``whole``, its spec lacks its faulty members; their names still count as defined.
+    If the document is not ``whole``, its spec lacks the faulty members; their names still count as defined.
     """
 
     def __init__(self, loaded: Loaded, whole: bool, use: Use) -> None:
@@ -43,19 +43,19 @@ class Checker:
 
     def _add(self, code: str, path: Path_, message: str, hint: str, severity: Severity, about: tuple[str, ...]) -> None:
         self._counts[severity] += 1
-        if self._counts[severity] <= MAX_FINDINGS:  # each kind for itself: no error is lost behind warnings
+        if self._counts[severity] <= MAX_FINDINGS:  # counted per severity, so that warnings do not hide errors
             line, column = self.document.place(path)
             dotted = ".".join(map(str, path))
             file = self.document.source(path)
             self.findings.append(Diagnostic(code, severity, message, file, line, column, dotted, hint, about))
 
     def names(self, section: str) -> dict[str, Any]:
-        """Return the names that a section of the text defines, faulty members included."""
+        """Return the names that a section of the text defines, including faulty members."""
         members = self.document.data.get(section) if isinstance(self.document.data, dict) else None
         return members if isinstance(members, dict) else {}
 
     def name(self, name: str, choices: Collection[str], path: Path_, what: str) -> bool:
-        """Check that ``name`` is among the choices."""
+        """Check that ``name`` is one of the choices."""
         if name in choices:
             return True
         if self._counts[Severity.ERROR] < MAX_FINDINGS:
@@ -66,12 +66,12 @@ class Checker:
         return False
 
     def reserved(self, path: Path_, what: str) -> None:
-        """Reject the name that formats reserve for the static world."""
+        """Report the name that output formats reserve for the static world."""
         message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF use this name for the static world"
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
-        """Check that ``reference`` is a file with one of the suffixes, below the project root or in a package."""
+        """Check that ``reference`` is a file with one of the suffixes in the project or in a package."""
         try:
             reachable(reference, self.loaded.path, self.loaded.root, suffixes)
         except FileError as wrong:
@@ -80,13 +80,13 @@ class Checker:
         return True
 
     def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
-        """Return the document that ``reference`` names; None, with a finding, if there is none of these kinds."""
+        """Return the document at ``reference``; report a finding and return None if it is not of one of the kinds."""
         if not self.file(reference, path, suffixes):
             return None
         target = str(self.loaded.file(reference))
         if target not in self.loaded.uses:
             used = self._use(self.loaded.shown(reference), kinds)
-            if used is None:  # a document of another kind, which might even be this one
+            if used is None:  # a document of another kind, possibly this document itself
                 listed = " or ".join(f"`simfoundry: {kind}`" for kind in kinds)
                 self.add("SF006", path, f"`{reference}` is a document of another kind", f"it must start with {listed}")
                 return None
@@ -99,8 +99,8 @@ class Checker:
             self.name(body.material, self.names("materials"), (*path, "material"), "material")
 
     def mass(self, body: BodySpec, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
-        """Check that a body has a mass or a density, or that all of its parts are of materials with one."""
-        if body.model_fields_set & {"mass", "density"}:  # given, if only without a value, which is a finding itself
+        """Check that a body has a mass or a density, or that the materials of all its parts have a density."""
+        if body.model_fields_set & {"mass", "density"}:  # a missing value is reported separately
             return
         if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
             hint = "give `mass`, `density`, or a `material` with a density"
@@ -113,7 +113,7 @@ class Checker:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
     def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
-        """Check that a body's density, given or as mass over the ``solid`` volume [m^3], is plausible."""
+        """Check that a body's density, given or computed as mass over the ``solid`` volume [m^3], is plausible."""
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:
             self.plausible(str(path[-1]), given, (*path, "density"))
@@ -121,13 +121,13 @@ class Checker:
             self.plausible(str(path[-1]), mass / solid, (*path, "mass"))
 
     def plausible(self, name: str, density: float, path: Path_) -> None:
-        """Check that a density [kg/m^3] is one that real objects have."""
+        """Check that a density [kg/m^3] is realistic."""
         hint = implausible(density)
         if hint:
             self.warn("SF402", path, f"`{name}` has a density of {density:.4g} kg/m^3", hint)
 
     def unused(self, materials: Mapping[str, Material], used: Collection[str | None]) -> None:
-        """Warn of each material that nothing is made of."""
+        """Warn about each unused material."""
         for name in materials if self.whole else ():
             if name not in used:
                 self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")

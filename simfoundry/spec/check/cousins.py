@@ -1,4 +1,4 @@
-"""Check recipes: the names of the twin that their axes refer to."""
+"""Check recipes: their axes must refer to names in the twin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run the checks of a kind of document that go beyond its types."""
+"""Run the checks beyond types for each kind of document."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from simfoundry.spec.models.base import DocumentSpec
 
 
 def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> list[Diagnostic]:
-    """Check a document beyond its types; ``sound`` is its typed spec, or the sound part of it unless ``whole``.
+    """Check a document beyond types; ``sound`` is its typed spec, or only the valid part of it unless ``whole``.
 
-    The documents that it uses are read with ``use`` and added to ``loaded.uses``.
+    Documents that it uses are read with ``use`` and added to ``loaded.uses``.
     """
     if sound is None:
         return []

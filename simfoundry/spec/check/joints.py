@@ -1,4 +1,4 @@
-"""Check joint positions against the asset that has the joints, and pairs without contact."""
+"""Check joint positions against their asset, and pairs of objects without contact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
-    """Check the positions ``given`` below ``path``; with ``resting``, others are taken as 0."""
+    """Check the positions ``given`` below ``path``; with ``resting``, missing positions count as 0."""
     for name in given:
         c.name(name, asset.joints, (*path, name), "joint")
     for name, joint in asset.joints.items():
@@ -34,7 +34,7 @@ def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: P
 
 
 def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
-    """Check that the pair at ``k`` of `no_contact` names two objects, once; add it to ``seen``."""
+    """Check that pair ``k`` of `no_contact` names two different objects and is unique; add it to ``seen``."""
     if pair[0] == pair[1]:
         c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
     elif frozenset(pair) in seen:
@@ -43,7 +43,7 @@ def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[st
 
 
 def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path_) -> bool:
-    """Check that a position has the form that its joint needs."""
+    """Check that a position has the form that the joint type requires."""
     if joint.type == "fixed":
         c.add("SF205", place, f"`{name}` is fixed and has no position", "remove it")
     elif joint.mimic is not None:

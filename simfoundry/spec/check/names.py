@@ -1,4 +1,4 @@
-"""Check the names in conditions and places: objects, their parts and joints, robots."""
+"""Check the names in conditions and places: objects, their parts and joints, and robots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
 class SceneNames:
-    """Names in a scene: ``objects`` and ``robots`` of its text, faulty ones included, and their parts."""
+    """Names in a scene: ``objects`` and ``robots`` of its text, including faulty ones, and their parts."""
 
     def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
         self.scene, self.spec = scene, spec
@@ -27,7 +27,7 @@ class SceneNames:
         self.objects, self.robots = (_mapping(data, section) for section in ("objects", "robots"))
 
     def asset(self, name: str) -> AssetSpec | None:
-        """Return the asset document of the object ``name`` if it has one that is sound."""
+        """Return the asset document of the object ``name``; None if it has none or the document is invalid."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
         if used is None:
@@ -37,7 +37,7 @@ class SceneNames:
         return used.spec if isinstance(used.spec, AssetSpec) else None
 
     def is_known(self, name: str) -> bool:
-        """True if the parts of the object ``name`` are known for certain."""
+        """Return True if the parts of the object ``name`` are known."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         if item is None:
             return False
@@ -72,7 +72,7 @@ class SceneNames:
                     self.check_part(c, argument, path)
 
     def _overlap(self, a: str, b: str) -> bool:
-        """True if two arguments share a link: one is all of the other, or a joint moves the link that one is."""
+        """Return True if two arguments share a link: one contains the other, or one is a joint that moves the other."""
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
@@ -118,7 +118,7 @@ class SceneNames:
                 c.name(anchor, self.objects, (*path, key), "object")
 
     def check_order(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
-        """Check that no object stands, through others, on or beside itself."""
+        """Check that no place depends on itself through other places."""
         needs = _unsolved({name: _needs(place) & places.keys() for name, place in places.items()})
         for name in needs:
             ring = _ring(name, needs)
@@ -134,7 +134,7 @@ def _needs(place: Place) -> set[str]:
 
 
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """Return what remains when everything with satisfied needs is removed: cycles, and what needs them."""
+    """Return the entries that cannot be resolved: cycles, and entries that depend on them."""
     waiting = {name: len(needed) for name, needed in needs.items()}
     wanted: dict[str, list[str]] = {}
     for name, needed in needs.items():
@@ -150,7 +150,7 @@ def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def _ring(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
-    """Return the path from ``name`` back to itself, empty without one."""
+    """Return the path from ``name`` back to itself; empty if there is none."""
     todo: list[tuple[str, ...]] = [(name,)]
     seen: set[str] = set()
     while todo:

@@ -1,4 +1,4 @@
-"""Pages of the diagnostic codes: the meaning of each, how to fix it, wrong and right examples, as Markdown."""
+"""Markdown pages of the diagnostic codes: meaning, fix, and examples of wrong and right documents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "findings"
-"""Markdown pages, one for each code."""
+"""Folder of the Markdown pages, one for each code."""
 
 GROUPS = {
     "SF0": "Files and their text",
@@ -18,7 +18,7 @@ GROUPS = {
     "SF4": "Lints: warnings, which can be silenced with a reason",
     "SF5": "Captures",
 }
-"""Codes by how they start, in the order in which a document is read."""
+"""Titles of the groups of codes by prefix, in the order in which a document is checked."""
 
 _CODE = re.compile(r"(?:(?:error|warning)?\[)?(?:sf)?([0-9]{1,3})\]?", re.IGNORECASE)
 _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -26,7 +26,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """A file that a page shows under one of its headings (`Wrong`, `Right`, `Beside it`)."""
+    """File that a page shows under one of its headings (`Wrong`, `Right`, `Beside it`)."""
 
     lead: str
     name: str
@@ -43,12 +43,12 @@ class Page:
 
     @property
     def markdown(self) -> str:
-        """Return the whole page."""
+        """Return the whole page as Markdown."""
         return f"# {self.code} {self.title}\n\n{self.body}"
 
     @property
     def snippets(self) -> list[Snippet]:
-        """Return the files that the page shows: complete documents or meshes whose first line names them."""
+        """Return the files that the page shows: complete documents or meshes whose first line is their file name."""
         leads = re.split(r"^\*\*([^*]+?)\.?\*\*", self.body, flags=re.MULTILINE)
         return [
             Snippet(lead, name, text)
@@ -65,7 +65,7 @@ def page(code: str) -> Page:
 
 @cache
 def pages() -> tuple[Page, ...]:
-    """Return every page, by code."""
+    """Return all pages, ordered by code."""
     return tuple(page(path.stem) for path in sorted(FOLDER.glob("SF*.md")))
 
 
@@ -75,7 +75,7 @@ def titles() -> dict[str, str]:
 
 
 def code_of(text: str) -> str | None:
-    """Return the code meant by ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None for an unknown one."""
+    """Parse a code from ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None for an unknown code."""
     match = _CODE.fullmatch(text.strip())
     code = f"SF{int(match[1]):03}" if match else ""
     return code if code in titles() else None
@@ -91,9 +91,9 @@ _INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
 
-Everything that SimFoundry can find in a document has a code that stays the same. Codes that start with `SF4` are
-warnings, and can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these
-pages, and [checking.md](checking.md) says how to check at each commit and on a server.
+Every kind of finding that SimFoundry can report has a stable code. Codes that start with `SF4` are warnings, and can be
+silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these pages, and
+[checking.md](checking.md) explains how to run the checks before each commit and in CI.
 """
 
 

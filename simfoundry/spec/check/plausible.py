@@ -1,4 +1,4 @@
-"""Plausible densities: they reveal a mass in grams or a size in millimetres."""
+"""Plausible densities, which reveal masses in grams and sizes in millimetres."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from itertools import pairwise
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, LatheShape, Shape, SphereShape
 
 LIGHTEST, HEAVIEST = 5.0, 23_000.0
-"""From foam to osmium, in kg/m^3; what is hollow counts with the space that it encloses."""
+"""Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity."""
 
 
 def implausible(density: float) -> str:
-    """Return a hint for a density [kg/m^3] that no object on a table has; empty for a plausible one."""
+    """Return a hint for an implausible density [kg/m^3]; empty for a plausible one."""
     if LIGHTEST <= density <= HEAVIEST:
         return ""
     return f"things weigh {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
@@ -41,7 +41,7 @@ def _volume(shape: Shape) -> float:
         case LatheShape():
             rings = shape.lathe.profile
             thirds = ((a[0] ** 2 + a[0] * b[0] + b[0] ** 2) * (a[1] - b[1]) for a, b in pairwise(rings))
-            return abs(math.pi / 3 * sum(thirds))  # frusta, those inside taken away from those outside
+            return abs(math.pi / 3 * sum(thirds))  # frusta; inner ones are subtracted from outer ones
     corners = shape.prism.outline
     doubled = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
     return abs(doubled) / 2 * shape.prism.height

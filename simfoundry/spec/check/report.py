@@ -1,4 +1,4 @@
-"""The report of a check, and its formats: text, JSON, SARIF and GitHub annotations."""
+"""Report of a check and its output formats: text, JSON, SARIF, and GitHub annotations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FORMATS = ("text", "json", "sarif", "github")
 
 @dataclass(frozen=True)
 class Checked:
-    """Result of checking one document: its findings, with those of the documents that it uses."""
+    """Result of checking one document: its findings, including those of the documents that it uses."""
 
     findings: tuple[Diagnostic, ...]
     uses: tuple[str, ...] = ()
@@ -24,7 +24,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """The documents asked for, the number of documents read, and every finding once, in order."""
+    """Requested documents, the number of documents read, and every finding once, in order."""
 
     files: tuple[str, ...]
     documents: int
@@ -32,17 +32,17 @@ class CheckReport:
 
     @property
     def errors(self) -> int:
-        """Number of errors."""
+        """Return the number of errors."""
         return sum(d.severity is Severity.ERROR for d in self.findings)
 
     @property
     def warnings(self) -> int:
-        """Number of warnings."""
+        """Return the number of warnings."""
         return len(self.findings) - self.errors
 
 
 def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
-    """Combine the results of documents that were checked one by one; shared documents and findings count once."""
+    """Combine the results of individual documents; shared documents and findings count once."""
     files, checked = tuple(files), tuple(checked)
     seen: dict[Path, str] = {}
     for name in (*files, *(use for each in checked for use in each.uses)):
@@ -56,12 +56,12 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
 
 
 def absolute(file: str) -> Path:
-    """Return one form for every spelling of a path; links are not followed, as their folder matters."""
+    """Return the normalized absolute path; symbolic links are not resolved because their own folder matters."""
     return Path(os.path.normpath(Path(file).absolute()))
 
 
 def checkout() -> Path:
-    """Return the folder that other programs count paths from: that of a CI job, else the current one."""
+    """Return the folder that paths are relative to for other programs: that of the CI job, else the current folder."""
     return absolute(os.environ.get("GITHUB_WORKSPACE") or ".")
 
 
@@ -75,7 +75,7 @@ def renderer(form: str) -> Callable[[CheckReport], str]:
 
 
 def findings_text(found: Iterable[Diagnostic], colour: bool = False) -> str:
-    """Return every finding with its line; files are relative to the current folder."""
+    """Return every finding with its source line; file names are relative to the current folder."""
     return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), colour)
 
 
@@ -104,12 +104,12 @@ def _count(number: int, what: str) -> str:
 
 
 def render_json(report: CheckReport) -> str:
-    """Return the report as one JSON object for scripts. Its shape is stable: keys are only ever added.
+    """Return the report as one JSON object for scripts. The format is stable: keys are added but never removed.
 
-    ``files``: the documents asked for. ``documents``: the number of documents read, with those that they use.
-    ``errors`` and ``warnings``: their numbers. ``findings``: each with ``code``, ``severity`` (``error`` or
+    ``files``: the requested documents. ``documents``: the number of documents read, including those that they use.
+    ``errors`` and ``warnings``: their counts. ``findings``: each with ``code``, ``severity`` (``error`` or
     ``warning``), ``message``, ``file``, ``line`` and ``column`` (from 1, in Unicode characters; 0 for the whole file),
-    ``path`` (the keys that lead there, joined by dots) and ``hint`` (may be empty).
+    ``path`` (keys joined by dots) and ``hint`` (may be empty).
     """
     data = {
         "files": list(report.files),
@@ -122,7 +122,7 @@ def render_json(report: CheckReport) -> str:
 
 
 def render_github(report: CheckReport) -> str:
-    """Return workflow commands for GitHub Actions, which show each finding at its line of a pull request.
+    """Return workflow commands for GitHub Actions, which show each finding at its line in a pull request.
 
     https://docs.github.com/actions/reference/workflow-commands-for-github-actions
     """
@@ -140,10 +140,10 @@ def _command(d: Diagnostic, folder: Path) -> str:
 
 
 def _data(text: str) -> str:
-    """Escape a text for use behind the second ``::``."""
+    """Escape a text for use after the second ``::``."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
 def _property(text: str) -> str:
-    """Escape a text for use between the commas."""
+    """Escape a text for use as a property value, between commas."""
     return _data(text).replace(":", "%3A").replace(",", "%2C")

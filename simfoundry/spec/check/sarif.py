@@ -1,4 +1,4 @@
-"""SARIF 2.1.0 for code scanning, with the page of each code as the help of its rule.
+"""SARIF 2.1.0 output for code scanning; the help of each rule is the page of its code.
 
 https://docs.oasis-open.org/sarif/sarif/v2.1.0/sarif-v2.1.0.html
 """
@@ -20,7 +20,7 @@ _ROOT = "%SRCROOT%"
 
 
 def render_sarif(report: CheckReport) -> str:
-    """Return one run with one result for each finding; files are relative to the checkout, columns in characters."""
+    """Return one run with one result per finding; files are relative to the checkout, columns in characters."""
     folder = checkout()
     explained = pages()
     rules = [page.code for page in explained]
@@ -66,7 +66,7 @@ def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
 
 
 def _artifact(file: str, folder: Path) -> dict[str, str]:
-    """Return a file by a relative URI, or by an absolute one if it lies outside the checkout."""
+    """Return the location of a file as a relative URI, or as an absolute URI if it is outside the checkout."""
     path = absolute(file)
     if not path.is_relative_to(folder):
         return {"uri": path.as_uri()}
@@ -74,5 +74,5 @@ def _artifact(file: str, folder: Path) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Return a text without links: plain messages of SARIF write them as ``[text](target)``."""
+    """Escape a text so that it contains no links, which plain SARIF messages write as ``[text](target)``."""
     return text.replace("](", "] (")

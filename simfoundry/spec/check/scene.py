@@ -1,4 +1,4 @@
-"""Check scenes: materials, assets, joints, places, robots, cameras and relations."""
+"""Check scenes: materials, assets, joints, places, robots, cameras, and relations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_of
 
 OF_LINKS = ("scale", "visual", *BodySpec.model_fields)
-"""Fields of an object that an asset document decides for its links."""
+"""Fields of an object that have no effect if its asset document defines them for its links."""
 
 ROBOT_SUFFIXES = {
     "file": (".yaml", ".yml"),
@@ -63,7 +63,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
 
 
 def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
-    """Check that each name of the scene means one thing, here and in every format."""
+    """Check that each name in the scene is unambiguous, both in the scene and in every output format."""
     for section, what in (("objects", names.objects), ("robots", names.robots)):
         if WORLD in what:
             c.reserved((section, WORLD), section.removesuffix("s"))
@@ -92,7 +92,7 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
 
 
 def _variants(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec) -> None:
-    """Check each variant as an object of its own; errors of the object itself are reported once."""
+    """Check each variant as a separate object; errors of the base object are reported only once."""
     if item.variant is not None and item.variant != DEFAULT_VARIANT:
         c.name(item.variant, item.variants, ("objects", name, "variant"), f"variant of `{name}`")
     said = {(d.code, d.message) for d in c.findings}
@@ -149,7 +149,7 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 
 
 def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
-    """Check a robot file; no model is opened."""
+    """Check a robot file without opening its models."""
     if key == "file":
         file = c.loaded.file(reference)
         try:
@@ -171,7 +171,7 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
 
 
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
-    """Yield the relations as the text has them, faulty ones included."""
+    """Check the relations in the text, including faulty ones."""
     written = c.document.data.get("relations") if spec.relations else ()
     for k, text in enumerate(written if isinstance(written, tuple) else ()):
         if isinstance(text, str):

@@ -1,4 +1,4 @@
-"""Check tasks: the names in goals, starts and resets."""
+"""Check tasks: the names in goals, starts, and resets."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scene_names(scene: Loaded | None) -> SceneNames | None:
 
 
 def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
-    """Check the names in a goal, and that it asks for something: an empty goal succeeds at once."""
+    """Check the names in a goal, and that the goal is not empty: an empty goal succeeds immediately."""
     from simfoundry.spec.models.expressions import parts, texts
 
     if names is not None:
@@ -54,7 +54,7 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
 
 
 def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
-    """Yield every group of a condition with the path of its list."""
+    """Return every group of a condition with the path of its list."""
     tag, below = parts(condition)
     if tag == "text":
         return []
@@ -88,7 +88,7 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
 
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
-    """Check that nothing welded to the world starts elsewhere."""
+    """Check that no object fixed to the world has a different start."""
     item = names.spec.objects.get(name) if names.spec is not None else None
     if item is not None and item.fixed:
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"

@@ -1,4 +1,4 @@
-"""Validate data against a model; pydantic's errors become findings with a place and a hint."""
+"""Validate data against a model, and convert pydantic's errors to findings with a location and a hint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simfoundry.spec.yaml.text import Document, Path_
 M = TypeVar("M", bound=Model)
 
 MAX_FINDINGS = 200
-"""Findings of each kind of check per document: more than anyone reads; they bound the output for hostile input."""
+"""Largest number of findings per kind of check and document, which bounds the output for malicious input."""
 
 _CODES = {
     "missing": "SF102",
@@ -43,14 +43,14 @@ _EXPECTED = {
     "int": "a whole number",
     "float": "a number",
 }
-"""Starts of pydantic's error types, and what a document calls the thing."""
+"""Prefixes of pydantic's error types, and the corresponding terms for documents."""
 
 
 _JOINED = {"all", "any", "not"}
-"""The keys of which a condition that is a mapping has one."""
+"""Keys of a condition mapping; each condition has exactly one of them."""
 
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
-"""A number with a unit, as people write it."""
+"""Number with a unit."""
 
 _UNITS = {
     "mm": ("lengths are in m", 0.001),
@@ -61,11 +61,11 @@ _UNITS = {
     "deg": ("angles are in degrees", 1.0),
     "°": ("angles are in degrees", 1.0),
 }
-"""What is to be said of a unit, and what it is of the unit of the documents."""
+"""Hint for each unit, and the factor that converts it to the unit of the documents."""
 
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
-    """Return the typed document, or every finding of its text."""
+    """Return the typed document and the findings; the document is None if there are errors."""
     findings = [*document.duplicates, *_without_value(model, document)]
     try:
         spec = model.model_validate(document.data)
@@ -84,7 +84,7 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
 def _new_members_first(findings: list[Diagnostic], document: Document) -> list[Diagnostic]:
     """Reword findings about members that a document adds to its base.
 
-    Mostly such a member was meant to be one that is there, and its name is misspelt: one finding says so.
+    Usually the name of an existing member was misspelled; a single finding reports that.
     """
     out, named = list[Diagnostic](), set[Path_]()
     for d in findings:
@@ -102,7 +102,7 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
-    """Return a finding for each key or item without a value; null is only for removing what a base says."""
+    """Return a finding for each key or item without a value; null is only allowed for removing a value of the base."""
     found: list[tuple[str | int, ...]] = []
     todo: list[tuple[tuple[str | int, ...], Any]] = [((), document.data)] if isinstance(document.data, dict) else []
     while todo:
@@ -121,10 +121,10 @@ def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
 
 
 def sound_part(model: type[M], document: Document) -> M | None:
-    """Return a document with errors without its faulty members, so that the rest can be checked further.
+    """Return the valid part of a document with errors, so that the remaining checks can run on it.
 
-    Left out is the whole member of a section (one object, one relation), or else the whole key. None where nothing
-    sound remains.
+    A faulty member of a section (one object, one relation) is omitted as a whole, and other faulty values with their
+    key. None if nothing valid remains.
     """
     data = document.data
     if not isinstance(data, dict):
@@ -156,7 +156,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     message, hint = _words(model, kind, loc, error)
     code = kind.upper() if kind.startswith("sf") else _CODES.get(kind, "SF103")
     path = document.known(loc)
-    if kind == "missing" and isinstance(loc[-1], int):  # one finding for the list, not one for each absent item
+    if kind == "missing" and isinstance(loc[-1], int):  # one finding for the list, not one per missing item
         code, of_key = "SF105", False
     elif kind == "missing":
         path += loc[-1:]
@@ -166,7 +166,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
 
 
 def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
-    """Return message and hint of one pydantic error."""
+    """Return the message and hint for one pydantic error."""
     last = loc[-1] if loc else ""
     description = _description(model, loc)
     if kind.startswith("sf"):
@@ -220,7 +220,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
 
 
 def _expected(error: Any) -> str:
-    """Return the value that pydantic expected, in the words of a document."""
+    """Describe the value that pydantic expected, in the terms of the document."""
     words: str = error["msg"].removeprefix("Input should be ")
     if error["type"].startswith(("greater", "less")):
         return f"a number {words}"
@@ -259,12 +259,12 @@ def _as_name(text: str) -> str:
 
 
 def _is_guess(error: Any) -> bool:
-    """True for a missing key that is one of several alternatives; beside an unknown key it is the same mistake."""
+    """Return True for a missing key that is one of several alternatives; with an unknown key it is the same mistake."""
     return error["type"] == "missing" and (error["loc"][-1] in SHAPE_KEYS or error["loc"][-1] in _JOINED)
 
 
 def _only_key(model: type[Model], loc: tuple[Any, ...]) -> str:
-    """Return the only key that a mapping needs; empty if there are several or alternatives."""
+    """Return the single required key of a mapping; empty if there are several or alternatives."""
     found = models_at(model, loc)
     needed = [n for m in found for n, info in m.model_fields.items() if info.is_required()]
     return needed[0] if len(found) == len(needed) == 1 and needed[0] not in (*SHAPE_KEYS, *_JOINED) else ""

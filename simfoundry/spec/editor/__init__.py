@@ -1,1 +1,1 @@
-"""Help for writing documents: JSON Schemas, snippets, starting files and the reference."""
+"""Support for writing documents: JSON Schemas, snippets, templates, and the reference page."""

@@ -1,4 +1,4 @@
-"""Starting files: a valid document of each kind that introduces its keys."""
+"""Create new files from templates: a valid document of each kind that introduces its keys."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import number
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
-"""The kinds as people say them: ``scene``."""
+"""Names of the kinds on the command line, such as ``scene``."""
 
 REGION = 0.05
-"""Half the width of the region [m] in which an object starts, around where it stands in the scene."""
+"""Half the width [m] of the region in which an object starts, centered at its position in the scene."""
 
 
 class NewError(Exception):
-    """Reason why no file can be created, in one sentence."""
+    """Error with the reason why a file cannot be created, in one sentence."""
 
 
 @dataclass(frozen=True)
 class New:
-    """A file to write, with the schemas and the marker that its project still lacks."""
+    """File to write, together with the schemas and the marker that its project lacks."""
 
     path: Path
     text: str
@@ -44,7 +44,7 @@ class New:
 
 
 def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
-    """Interpret the arguments: ``desk.scene.yaml``, or ``scene desk``, whose kind completes the path."""
+    """Interpret the arguments: ``desk.scene.yaml``, or ``scene desk``, where the kind completes the path."""
     *before, last = words
     path = Path(last)
     by_name = next((kind for kind in WORDS if path.name.endswith(f".{kind}.yaml")), None)
@@ -69,7 +69,7 @@ def _file(kind: str) -> str:
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
-    """Return a starting file; raises :class:`NewError` if there can be none, :class:`SpecError` for a faulty source."""
+    """Return a new file; raises :class:`NewError` if that is impossible, :class:`SpecError` for a faulty source."""
     try:
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
@@ -98,7 +98,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
 
 
 def _name(path: Path, name: str | None) -> str:
-    """Return the name of a document: as asked, or after its file (a capture: its folder)."""
+    """Return the name of a document: the given one, or one derived from its file (for a capture, from its folder)."""
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
             message = "a name is lower-case letters, digits and `_`, and starts with a letter"
@@ -116,18 +116,18 @@ def _relative(target: Path, path: Path) -> str:
 
 
 def _named(source: Path, path: Path) -> dict[str, str]:
-    """Return the path of another document, as a value and for a comment."""
+    """Return the path of another document, as a YAML value and as comment text."""
     relative = _relative(source, path)
     return {"quoted": json.dumps(relative), "source": _comment(relative)}
 
 
 def _comment(text: str) -> str:
-    """Replace characters that would end a comment."""
+    """Replace characters that would terminate a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
-    """Return the document to start from: the one that was named, or the only one beside the new file."""
+    """Return the source document: the given one, or the only one in the folder of the new file."""
     if source is None:
         folder = path.parent
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
@@ -142,7 +142,7 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Pa
 
 
 def _scene(loaded: Loaded) -> SceneSpec:
-    """Return the scene that a document is, or refers to."""
+    """Return the scene of a document: the document itself, or the scene that it refers to."""
     spec = loaded.spec
     if isinstance(spec, TaskSpec):
         used = loaded.used(spec.scene)
@@ -162,12 +162,12 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a task: put the first free object that does not roll onto another; without another, lift it."""
+    """Fill in a task: put the first free object that does not roll onto another one, or lift it if there is none."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
     rolling = [name for name, item in free.items() if isinstance(item.shape, SphereShape)]
-    thing, *after = sorted(free, key=lambda name: (name in carriers, name in rolling))  # stable: else as written
+    thing, *after = sorted(free, key=lambda name: (name in carriers, name in rolling))  # stable sort
     others = [name for name in after if name not in (_carrier(free[thing]), *rolling)]
     goal = f"OnTop({thing}, {others[0]})" if others else f"Lifted({thing})"
     said = f"Put the {_said(thing)} on the {_said(others[0])}." if others else f"Lift the {_said(thing)}."
@@ -188,7 +188,7 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _carrier(item: ObjectSpec) -> str:
-    """Return the support of an object, if its place names one."""
+    """Return the support of an object if its place names one."""
     return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
 
 
@@ -197,7 +197,7 @@ def _said(name: str) -> str:
 
 
 def _where(item: ObjectSpec) -> tuple[float, float] | None:
-    """Return the horizontal position of an object in the world [m], if its document says it."""
+    """Return the horizontal position [m] of an object in the world if its document specifies it."""
     return (item.pose.xyz[0], item.pose.xyz[1]) if item.place is None else item.place.xy
 
 
@@ -207,7 +207,7 @@ def _region(x: float, y: float) -> str:
 
 
 def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a recipe: move the first free object around another."""
+    """Fill in a recipe: place the first free object around another one."""
     loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
@@ -217,7 +217,7 @@ def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
-    """Fill in a change of the first free object: it is turned."""
+    """Fill in an overlay that rotates the first free object."""
     loaded = load(base, root)
     if loaded.errors:
         raise SpecError(loaded.errors)

@@ -1,4 +1,4 @@
-"""Schemas of documents that extend another: the same parts with fewer demands."""
+"""Schemas of documents that extend another: the same parts with fewer required keys."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 Schema = dict[str, Any]
 
 OVERLAY = "Overlay"
-"""What the names of loosened parts begin with."""
+"""Prefix of the names of the relaxed parts."""
 
 REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
 
 
 def loose(part: Any) -> Any:
-    """Return a schema without required keys that allows null for any member; lists are replaced whole."""
+    """Return a schema without required keys that allows null for any member; lists are replaced as a whole."""
     if isinstance(part, list):
         return [loose(item) for item in part]
     if not isinstance(part, dict):
@@ -31,7 +31,7 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """Allow null for a value; the texts for editors stay outside."""
+    """Allow null for a value; texts for editors stay on the outer schema."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
     words = {key: item[key] for key in kept if key in item}
     core = {key: value for key, value in item.items() if key not in kept}

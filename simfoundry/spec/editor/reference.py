@@ -1,4 +1,4 @@
-"""Write ``docs/reference.md``: every key of every document, from the models, with an example of each kind."""
+"""Generate ``docs/reference.md`` from the models: every key of every document, with an example of each kind."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ INTRODUCTION = """\
 <!-- Written by `make schemas` from simfoundry/spec; edit the models, not this page. -->
 
 A document is a YAML 1.2 file whose first key names its kind. Lengths are in metres, masses in kilograms, times in
-seconds; an angle carries its unit in its key. A *name* is lower-case letters, digits and `_`, starts with a letter and
-has at most 64 characters. Unknown keys and keys written twice are errors. In the tables, `[number] × 3` is a list of
-three numbers and *name → number* a mapping from names. Frames, orders and the meaning of friction are in
-[conventions.md](conventions.md).
+seconds; the key of an angle contains its unit. A *name* consists of lower-case letters, digits and `_`, starts with a
+letter and has at most 64 characters. Unknown keys and keys written twice are errors. In the tables, `[number] × 3` is a
+list of three numbers and *name → number* a mapping from names. Frames, the order of components and the meaning of
+friction are defined in [conventions.md](conventions.md).
 """
 
 
 def example(kind: str) -> str:
-    """Return the example of a kind of document, as ``scene/1``."""
+    """Return the example of a kind of document, such as ``scene/1``."""
     return (files(__package__) / "examples" / f"{kind.partition('/')[0]}.yaml").read_text(encoding="utf-8")
 
 
@@ -48,7 +48,7 @@ def reference() -> str:
 
 
 def _sections(parts: dict[str, Schema]) -> Iterator[str]:
-    """Yield a heading and a table for each part, by title; the shapes, of one key each, share a table."""
+    """Yield a heading and a table for each part, sorted by title; shapes, which have one key each, share a table."""
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)

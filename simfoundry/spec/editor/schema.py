@@ -1,8 +1,9 @@
-"""JSON Schemas of the documents for editors: completion, hover texts and errors.
+"""JSON Schemas of the documents for editors: completion, hover texts, and error messages.
 
-They are the schemas of the models, rewritten for what a person sees. Alternatives (a number, or a mapping with a range)
-are joined into one schema wherever their types differ, so that a slip is reported where it is and not as "no match". A
-key carries its words with its unit, and a first value to fill in. ``null`` stands in overlays only, where it removes.
+They are generated from the schemas of the models and rewritten for display in editors. Alternatives of different types
+(such as a number or a mapping with a range) are joined into one schema, so that an error is reported at its location
+and not as "no match". Each key has a description with its unit, and an initial value to fill in. ``null`` is allowed
+only in overlays, where it removes a value.
 """
 
 from __future__ import annotations
@@ -31,36 +32,36 @@ UNIONS = {
     "JointPosition": {"Degrees"},
     "RobotModel": {"RobotFiles"},
 }
-"""Alternatives that are joined into one part, by the models among them."""
+"""Names of parts that join alternatives, by the models among the alternatives."""
 
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
-"""In braces, plain YAML splits ``goal: OnTop(cup, desk)`` at its comma: the rest of the text arrives as a key."""
+"""Pattern of a key that is the rest of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma."""
 
 
 def _predicate_pattern() -> str:
-    """Return the pattern of a predicate, or of its start or end as plain YAML splits it in brackets."""
+    """Return the pattern of a predicate, or of its start or end if YAML splits it at a comma in brackets."""
     aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
 
 LISTED = "Listed"
-"""The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
+"""Part for conditions in a list, where YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number."""
 
 
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
-"""Keywords that editors have added to JSON Schema; a strict validator, as ajv, refuses a schema with such."""
+"""Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them."""
 
 _BY_NAME = ("$defs", "patternProperties", "properties")
-"""Keywords whose value is a mapping by names, which may be called like a keyword."""
+"""Keywords whose value is a mapping by name; a name may coincide with a keyword."""
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """Return file name and text of every schema below ``schemas/``; ``standard`` omits keywords for editors."""
+    """Return the name and content of every file in ``schemas/``; ``standard`` omits keywords for editors."""
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
 def without_editor_words(part: Any) -> Any:
-    """Return an equivalent schema in keywords of the standard only."""
+    """Return an equivalent schema that uses only standard keywords."""
     if isinstance(part, list):
         return [without_editor_words(item) for item in part]
     if not isinstance(part, dict):
@@ -75,9 +76,10 @@ def without_editor_words(part: Any) -> Any:
 
 
 def schema(kind: str) -> Schema:
-    """Return the JSON Schema of a kind of document, as ``scene/1``.
+    """Return the JSON Schema of a kind of document, such as ``scene/1``.
 
-    A document that extends another is held against a looser copy: nothing is required, and null removes.
+    A document that extends another is validated against a relaxed copy without required keys, in which null removes a
+    value.
     """
     parts = _Parts(model_of(kind).model_json_schema()).all()
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
@@ -99,13 +101,13 @@ def schema(kind: str) -> Schema:
 
 @dataclass
 class _Parts:
-    """Parts of a model's own schema, rewritten for editors."""
+    """Parts of a model's schema, rewritten for editors."""
 
     raw: Schema
     joined: dict[str, Schema] = field(default_factory=dict)
 
     def all(self) -> dict[str, Schema]:
-        """Return every part by name; the document itself is ``Document``."""
+        """Return every part by name; the document itself is named ``Document``."""
         models = {**self.raw["$defs"], "Document": {k: v for k, v in self.raw.items() if k != "$defs"}}
         apart = set().union(*UNIONS.values())
         owners = {"Document": self.raw["title"]}
@@ -117,7 +119,7 @@ class _Parts:
         return dict(sorted((parts | self.joined).items()))
 
     def model(self, owner: str, body: Schema) -> Schema:
-        """Return the schema of a mapping with known keys; the key of the kind comes first."""
+        """Return the schema of a mapping with known keys; the key with the document kind comes first."""
         keys = sorted(body["properties"], key=lambda key: key != "simfoundry")
         properties = {key: self.key(owner, key, body["properties"][key]) for key in keys}
         required = sorted(body.get("required", ()), key=keys.index)
@@ -131,7 +133,7 @@ class _Parts:
         return whole | _fragments(properties)
 
     def key(self, owner: str, key: str, body: Schema) -> Schema:
-        """Return the schema of a key, with its texts and a first value."""
+        """Return the schema of a key, with its texts and an initial value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
         if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
@@ -145,7 +147,7 @@ class _Parts:
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
-        """Return the description of a key; without one of its own, that of its value."""
+        """Return the description of a key or, if it has none, that of its value."""
         said = body.get("description") or snippets.description(owner, key)
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
@@ -158,7 +160,7 @@ class _Parts:
             if union is None:
                 return self.join(options)
             if union not in self.joined:
-                self.joined[union] = {}  # a condition holds conditions
+                self.joined[union] = {}  # conditions are recursive
                 self.joined[union] = self.join(options) | _special(union)
             return {"$ref": f"#/$defs/{union}"}
         (body,) = options
@@ -192,7 +194,7 @@ class _Parts:
     def item(self, body: Schema) -> Schema:
         """Return the schema of an item of a list."""
         core = self.core(body)
-        if core == {"type": "string"}:  # the only texts of free form in lists are relations
+        if core == {"type": "string"}:  # relations are the only free-form strings in lists
             return {"type": ["string", "number"], **_special("Condition")}
         if core == {"$ref": "#/$defs/Condition"}:
             if LISTED not in self.joined:
@@ -203,7 +205,7 @@ class _Parts:
         return core
 
     def member(self, body: Schema) -> Schema:
-        """Return the schema of a member under a free name."""
+        """Return the schema of a member with an arbitrary name."""
         core = self.core(body)
         model = core.get("$ref", "").rpartition("/")[2]
         described = self.raw["$defs"].get(model, {}).get("description", "")
@@ -214,7 +216,7 @@ class _Parts:
         return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
-        """Join alternatives into one schema: each keyword applies to one type of value only."""
+        """Join alternatives into one schema; each keyword applies to only one type of value."""
         out: Schema = {}
         types: list[str] = []
         models = [o["$ref"].rpartition("/")[2] for o in options if "$ref" in o]
@@ -231,7 +233,7 @@ class _Parts:
         return {"type": types if len(types) > 1 else types[0], **out}
 
     def join_models(self, names: list[str]) -> Schema:
-        """Join alternative models; several become a mapping with the keys of all of them."""
+        """Join alternative models into a mapping with the keys of all of them."""
         bodies = [self.raw["$defs"][name] for name in names]
         if len(names) == 1:
             whole = self.model(names[0], bodies[0])
@@ -247,7 +249,7 @@ class _Parts:
 
 
 def _options(body: Schema) -> list[Schema]:
-    """Return the alternatives of a value, flat and without null."""
+    """Return the flattened alternatives of a value, without null."""
     for key in ("anyOf", "oneOf"):
         if key in body:
             return [inner for option in body[key] for inner in _options(option)]
@@ -259,7 +261,7 @@ def _special(union: str) -> Schema:
     if union == "Condition":
         message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
-    if union == "Shape":  # apart from its keys, because an editor offers none of them where one is the most
+    if union == "Shape":  # separate from the keys, because editors stop offering keys if the maximum is one
         return {"allOf": [{"maxProperties": 1}]}
     return {"defaultSnippets": robots()} if union == "RobotModel" else {}
 
@@ -269,7 +271,7 @@ def _pattern(pattern: str) -> Schema:
 
 
 def _fragments(properties: Schema) -> Schema:
-    """Allow the rest of a text with commas, where free texts may stand."""
+    """Allow the rest of a text that YAML splits at commas, in places with free-form text."""
     cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
     free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
     conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
@@ -277,7 +279,7 @@ def _fragments(properties: Schema) -> Schema:
 
 
 def _words(title: str, text: str) -> Schema:
-    """Return title and description; also as Markdown if editors would show Markdown signs literally."""
+    """Return title and description; also as Markdown if editors would otherwise show Markdown syntax literally."""
     markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
     return {"title": title, "description": text, **markdown}
 
@@ -296,14 +298,14 @@ def _plain(value: Any) -> str:
 
 
 def _holes(value: Any) -> str:
-    """Return a value as a snippet in which each number and each word can be replaced."""
+    """Return a value as a snippet with a placeholder for each number and each word."""
     if isinstance(value, list):
         return f"[{', '.join(f'${{{k}:{_plain(item)}}}' for k, item in enumerate(value, 1))}]"
     return f"${{1:{_plain(value)}}}"
 
 
 def _snippet(body: Body, text: str) -> Schema:
-    """Return a first value for an editor to offer, shown on one line without its placeholders."""
+    """Return a snippet for an editor to offer, with a one-line label without placeholders."""
     label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
     return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
 

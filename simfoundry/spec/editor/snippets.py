@@ -1,4 +1,4 @@
-"""Texts for editors beyond those of the models: first values of keys, and the meanings of choices."""
+"""Texts for editors beyond those of the models: initial values of keys, and the meanings of choices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.spec.yaml.text import parse
 
 Body = str | tuple[Any, ...] | dict[str, Any]
-"""A first value with holes to fill in, as ``${1:0.5}``: a text as it is written, or what is written over lines."""
+"""Snippet with placeholders such as ``${1:0.5}``: inline text, or data that is written on several lines."""
 
 
 @cache
@@ -21,13 +21,13 @@ def _texts() -> dict[str, Any]:
 
 
 def first_value(model: str, key: str) -> Body | None:
-    """Return the first value that an editor offers for a key of a model."""
+    """Return the initial value that an editor offers for a key of a model."""
     first: dict[str, Body] = _texts()["first"]
     return first.get(f"{model}.{key}", first.get(key))
 
 
 def first_member(model: str) -> Body | None:
-    """Return the first value that an editor offers for a member of a mapping by name."""
+    """Return the initial value that an editor offers for a member of a named mapping."""
     members: dict[str, Body] = _texts()["members"]
     return members.get(model)
 
@@ -39,14 +39,14 @@ def description(model: str, key: str) -> str | None:
 
 
 def meanings(words: list[str]) -> list[str]:
-    """Return the meaning of each word of a choice."""
+    """Return the meaning of each option of a choice."""
     if set(words) <= set(PREDICATES.built_in):
         return [sentence(PREDICATES.load(name).meaning) for name in words]
     return next(list(choice.values()) for choice in _texts()["choices"] if list(choice) == words)
 
 
 def sentence(words: str) -> str:
-    """Return words as a sentence."""
+    """Return text as a sentence."""
     return f"{words[0].upper()}{words[1:]}."
 
 
@@ -64,7 +64,7 @@ def predicates() -> list[dict[str, str]]:
 
 
 def robots() -> list[dict[str, str]]:
-    """Return a snippet for each robot that is known by name."""
+    """Return a snippet for each robot that can be referred to by name."""
     return [
         {
             "label": name,

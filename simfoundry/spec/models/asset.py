@@ -1,4 +1,4 @@
-"""``asset/1``: an object with links, parts and joints, for use in scenes."""
+"""``asset/1``: an object with links, parts, and joints, for use in scenes."""
 
 import math
 from typing import Literal, Self
@@ -38,7 +38,7 @@ class PartSpec(Model):
     use: Literal["both", "visual", "collision"] = Field(
         "both",
         description="`visual` is only rendered: it neither collides nor has mass; `collision` collides and has mass, "
-        "and is not seen.",
+        "but is not rendered.",
     )
 
     @model_validator(mode="after")
@@ -56,7 +56,7 @@ class Inertial(Model):
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
         description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
-        "the parts about their own.",
+        "the parts about their own centre of mass.",
     )
 
     @model_validator(mode="after")
@@ -70,22 +70,22 @@ class Inertial(Model):
 
 
 ROUNDING = 1e-6
-"""Share by which a principal moment may exceed the sum of the other two: files give six digits."""
+"""Relative tolerance of the triangle inequality of principal moments, because files contain six digits."""
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
-    """True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
+    """Return True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
     trace = sum(inertia[:3])
     if not 0 < trace < math.inf:
         return False
     xx, yy, zz, xy, xz, yz = (value / trace for value in inertia)
-    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c where c < most.
+    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c if c < most.
     most = (1 + ROUNDING) / (2 + ROUNDING)
     return _is_positive(xx, yy, zz, xy, xz, yz) and _is_positive(most - xx, most - yy, most - zz, -xy, -xz, -yz)
 
 
 def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
-    """True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
+    """Return True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
     minor = xx * yy - xy * xy
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
@@ -107,7 +107,7 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """True if mass, centre of mass and inertia are given, so that its parts need no mass."""
+        """Return True if mass, centre of mass and inertia are given, so that the parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -118,19 +118,21 @@ class MimicSpec(Model):
     """A joint that follows another: its position is ``multiplier`` times that joint's position, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
-    multiplier: Number = Field(1.0, description="Motion of the joint for one unit of motion of the other.")
-    offset: Number = Field(0.0, description="Position when the other joint is at zero [m, or rad].")
+    multiplier: Number = Field(1.0, description="Ratio of this joint's motion to that of the leader.")
+    offset: Number = Field(0.0, description="Position if the leader is at zero [m, or rad].")
 
 
 class DriveSpec(Model):
     """A motor that holds a position like a spring, or damps motion, up to a maximum force.
 
-    Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
+    Its force is `stiffness` times the distance to the target, minus `damping` times the velocity.
     """
 
     stiffness: NonNegative = Field(0.0, description="Force per unit of deviation [N/m, or N m/rad].")
     damping: NonNegative = Field(0.0, description="Force per unit of velocity, against it [N s/m, or N m s/rad].")
-    target: Number | None = Field(None, description="Target position [m, or rad]; default: where the joint starts.")
+    target: Number | None = Field(
+        None, description="Target position [m, or rad]; default: the initial position of the joint."
+    )
     force_limit: Positive | None = Field(None, description="Maximum force [N, or N m].")
 
     @model_validator(mode="after")
@@ -161,7 +163,9 @@ class JointSpec(Model):
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
-    armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
+    armature: NonNegative = Field(
+        0.0, description="Inertia added to the joint, such as that of a rotor [kg, or kg m^2]."
+    )
     mimic: MimicSpec | None = Field(None, description="Another joint that it follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
@@ -197,13 +201,13 @@ class AssetSpec(DocumentSpec):
     """A reusable object of one or more links."""
 
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
-    category: Name | None = Field(None, description="Category, as `drawer_cabinet`.")
+    category: Name | None = Field(None, description="Category, such as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
     joints: dict[Name, JointSpec] = Field({}, description="Joints between its links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
         (),
         max_length=1000,
-        description="Pairs of links that do not collide, besides those that a joint connects.",
+        description="Pairs of links that do not collide, in addition to those that a joint connects.",
     )
     origin: Origin | None = Field(None, description="Origin of the asset.")

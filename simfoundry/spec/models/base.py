@@ -1,6 +1,6 @@
-"""Types that all documents share: names, numbers with units, poses, shapes and estimates."""
+"""Types shared by all documents: names, numbers with units, poses, shapes, and estimates."""
 
-# Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
+# This module and the other model modules do not postpone annotations: pydantic would compile each string at start-up.
 
 import math
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """Texts about a string pattern for editors, messages and the reference.
+    """Texts that describe a string pattern in editors, messages, and the reference.
 
-    Its name where editors offer one, its name in the reference, and the rule that a text must follow.
+    They are its placeholder in editors, its name in the reference, and the rule that a string must follow.
     """
 
     placeholder: str
@@ -43,7 +43,7 @@ PATTERNS = {
 
 Name = Annotated[str, StringConstraints(pattern=NAME, max_length=64)]
 PartName = Annotated[str, StringConstraints(pattern=PART_NAME, max_length=129)]
-"""``cabinet``, or ``cabinet.drawer``: one link of it."""
+"""``cabinet``, or ``cabinet.drawer`` for one link of it."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -51,8 +51,8 @@ Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Code = Annotated[str, StringConstraints(pattern=CODE)]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 FARTHEST = 1e6
-"""No position [m] is farther out and no size [m] larger: there single precision, in which many simulators reckon, is
-6 cm coarse."""
+"""Largest position or size [m]; at this distance, the resolution of single precision, which many simulators use, is
+6 cm."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
 Vec2 = tuple[Number, Number]
@@ -62,7 +62,7 @@ Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
 
 WORLD = "world"
-"""What formats keep for what does not move: MuJoCo calls its first body so, and readers of URDF a link."""
+"""Name that formats reserve for the static world: the first body in MuJoCo, and a link for readers of URDF."""
 Color = Annotated[
     Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
@@ -72,7 +72,7 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a text that is a file path relative to its document, so that an overlay can adjust it."""
+    """Marks a string that is a file path relative to its document, so that an overlay can adjust it."""
 
 
 FileName = Annotated[str, Reference()]
@@ -80,7 +80,7 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Marks a field with its former key; `check` names the present key, and `migrate` writes it."""
+    """Marks a field with its former key; `check` suggests the current key, and `migrate` renames it."""
 
     key: str
 
@@ -92,7 +92,7 @@ class Model(BaseModel):
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
-    """Raise a finding unless at most one (or, with ``needed``, exactly one) of the fields is given."""
+    """Raise an error unless at most one (or, with ``needed``, exactly one) of the fields is given."""
     written = model.model_fields_set
     given = [n for n in names if n in written and getattr(model, n) is not None]
     if len(given) == 1 or not (given or needed):
@@ -149,7 +149,7 @@ class Estimate(Model):
         None, description="The lowest and highest plausible value [kg, or kg/m^3]."
     )
     source: Annotated[str, FormerKey("by")] = Field(
-        "unknown", max_length=64, description="Person or method that estimated it, as `category_table`."
+        "unknown", max_length=64, description="Person or method that estimated it, such as `category_table`."
     )
 
     @model_validator(mode="after")
@@ -166,12 +166,12 @@ Quantity = Annotated[
 
 
 def quantity_value(quantity: float | Estimate | None) -> float | None:
-    """Return the plain number of a quantity."""
+    """Return a quantity as a plain number."""
     return quantity.value if isinstance(quantity, Estimate) else quantity
 
 
 class Round(Model):
-    """Radius and height of a cylinder or capsule, which stand along z."""
+    """Radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
     height: Length = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
@@ -271,7 +271,7 @@ class Origin(Model):
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="Assumptions that were made.")
-    cousin: CousinOf | None = Field(None, description="The cousin that it is, if a recipe generated it.")
+    cousin: CousinOf | None = Field(None, description="Recipe, seed and index, if it is a cousin.")
 
 
 class Material(Model):
@@ -309,11 +309,11 @@ class BodySpec(Model):
     collision: Collision = Field(
         "auto",
         description="Collision shapes of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, "
-        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no contact. Primitives collide unchanged.",
+        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no collision. Primitives stay unchanged.",
     )
     solid: Solid = Field(
         "exact",
-        description="Volume that carries the mass of a mesh: its own (it must be closed), or its convex hull's.",
+        description="Volume for the mass properties of a mesh: its own (it must be closed), or its convex hull's.",
     )
 
 
@@ -321,7 +321,7 @@ class Conflict(Model):
     """Two edits of one value that a merge could not unite; the document holds ours until someone decides."""
 
     base: Any = Field(None, description="Value that both sides started from.")
-    ours: Any = Field(None, description="Value of this side, which stands in the document.")
+    ours: Any = Field(None, description="Value of this side, which the document has.")
     theirs: Any = Field(None, description="Value of the other side.")
 
 
@@ -336,8 +336,8 @@ class DocumentSpec(Model):
 
     extends: FileName | None = Field(
         None,
-        description="A document of the same kind that this one changes, relative to this document. Mappings are joined "
-        "key by key, all else is replaced, and `null` removes.",
+        description="A document of the same kind that this one changes, relative to this document. Mappings are merged "
+        "key by key, all other values are replaced, and `null` removes a key.",
     )
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="Description for people.")
@@ -347,5 +347,6 @@ class DocumentSpec(Model):
         "`SF402: {cup: why}`.",
     )
     conflicts: dict[str, Conflict] = Field(
-        {}, description="Open conflicts of a merge, by path: write the right value there, then remove the entry."
+        {},
+        description="Unresolved conflicts of a merge, by path: correct the value at the path, then remove the entry.",
     )

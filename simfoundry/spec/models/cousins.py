@@ -38,7 +38,7 @@ class SceneAxis(Model):
         None, description="The object that stays in place; default: the object of the task's goal."
     )
     objects: dict[Name, tuple[Side, ...]] = Field(
-        min_length=1, description="Objects to place anew, each with the relations to the anchor that it may have."
+        min_length=1, description="Objects to place at new positions, each with the allowed relations to the anchor."
     )
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
         1, description="Number of predicates that each object must satisfy at once."
@@ -77,8 +77,8 @@ class ObjectModels(Model):
 
     vlm: ModelName | None = Field(
         None,
-        description="The vision-language model that names parts, proposes changes and judges images, as "
-        "`openai:gpt-5`; default: that of `--vlm`.",
+        description="The vision-language model that names parts, proposes changes and judges images, such "
+        "as `openai:gpt-5`; default: that of `--vlm`.",
     )
     images: ModelName | None = Field(
         None, description="Image-editing model, by the name that its server uses; default: the environment's."
@@ -98,7 +98,7 @@ class ObjectAxis(Model):
 
 
 class DistractorAxis(Model):
-    """Objects beside the task: taken from a library, placed without collision."""
+    """Objects that the task does not involve: taken from a library, and placed without collision."""
 
     count: tuple[Count, Count] = Field((1, 4), description="Minimum and maximum number in a scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
@@ -106,7 +106,7 @@ class DistractorAxis(Model):
         True, description="Also choose from the assets that come with SimFoundry."
     )
     categories: tuple[Name, ...] = Field(
-        (), description="Categories to choose from; default: all that do not occur in the twin."
+        (), description="Categories to choose from; default: all that the twin does not contain."
     )
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Categories to leave out."
@@ -136,7 +136,7 @@ class TaskAxis(Model):
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
     engines: tuple[Engine, ...] = Field(
-        ("mujoco",), min_length=1, description="Engines in which the result of a task must last."
+        ("mujoco",), min_length=1, description="Engines in which the goal state of a task must be stable."
     )
 
 
@@ -149,7 +149,7 @@ class CousinsSpec(DocumentSpec):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="Seed of the random choices.")
     scene: SceneAxis | None = Field(None, description="Vary the layout.")
     object: ObjectAxis | None = Field(None, description="Vary the objects.")
-    distractors: DistractorAxis | None = Field(None, description="Add things beside the task.")
+    distractors: DistractorAxis | None = Field(None, description="Add distractors.")
     task: TaskAxis | None = Field(None, description="Vary the task.")
 
     @model_validator(mode="after")

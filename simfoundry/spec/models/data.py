@@ -18,7 +18,7 @@ def to_data(spec: Model) -> dict[str, Any]:
         if not needed and name not in given:
             continue
         data = _data(getattr(spec, name))
-        # What is written like the default would be read as the default, and then not be written again.
+        # A value with the same text as the default would be read as the default and then not be written again.
         if needed or not _written_alike(data, default):
             out[name] = data
     return out
@@ -26,7 +26,7 @@ def to_data(spec: Model) -> dict[str, Any]:
 
 @cache
 def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
-    """Return name, necessity and default of each field in canonical order."""
+    """Return the name, whether it is required, and the default of each field, in canonical order."""
     fields = model.model_fields
     needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
     return tuple((name, name in needed, _data(fields[name].default)) for name in field_order(model))
@@ -49,7 +49,7 @@ def _data(value: Any) -> Any:
 
 
 def _written_alike(a: Any, b: Any) -> bool:
-    """True if two values have the same text: numbers are written with six decimals."""
+    """Return True if two values have the same text, where numbers are written with six decimals."""
     match a, b:
         case (float(), float() | int()) | (int(), float()):
             return rounded(a) == rounded(b)

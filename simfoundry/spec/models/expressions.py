@@ -20,7 +20,7 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 
 
 class ExpressionError(ValueError):
-    """A text that is not a predicate; ``word`` is the faulty part, ``choices`` the valid ones."""
+    """Error for a text that is not a predicate; ``word`` is the faulty part, and ``choices`` are the valid values."""
 
     def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -29,28 +29,28 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Call:
-    """A predicate with its arguments, each with its kind."""
+    """Predicate with its arguments and their kinds."""
 
     predicate: str
     args: tuple[str, ...]
 
     @property
     def declaration(self) -> Predicate:
-        """Declaration of the predicate."""
+        """Return the declaration of the predicate."""
         return PREDICATES.load(self.predicate)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kind of each argument."""
+        """Return the kind of each argument."""
         return self.declaration.parameters[: len(self.args)]
 
     def __str__(self) -> str:
         return f"{self.predicate}({', '.join(self.args)})"
 
 
-@lru_cache(maxsize=1024)  # checks, lowering and predicates read the same few
+@lru_cache(maxsize=1024)  # checks, lowering and predicates parse the same few expressions
 def parse_call(text: str) -> Call:
-    """Parse a predicate by our name or another's; raises :class:`ExpressionError`."""
+    """Parse a predicate by its name or an alias; raises :class:`ExpressionError`."""
     match = _CALL.match(text)
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
@@ -89,19 +89,19 @@ class AllOf(Model):
 class AnyOf(Model):
     """True if at least one condition holds."""
 
-    any: tuple[Condition, ...] = Field(description="Conditions of which one must hold.")
+    any: tuple[Condition, ...] = Field(description="Conditions of which at least one must hold.")
 
 
-# `not` is a word of Python, so this class cannot be written out.
+# `not` is a Python keyword, so this model cannot be defined with a class statement.
 NoneOf: type[Model] = create_model(
     "NoneOf",
     __base__=Model,
     __module__=__name__,
-    __doc__="True where it is not.",
+    __doc__="True if the condition does not hold.",
     **{"not": ("Condition", Field(description="A condition that must not hold."))},  # type: ignore[call-overload]
 )
 
-if TYPE_CHECKING:  # a type that contains itself is more than a type checker follows
+if TYPE_CHECKING:  # type checkers do not support this recursive type
     Condition = str | Model
 else:
     Condition = Annotated[
@@ -111,7 +111,7 @@ else:
         | Annotated[NoneOf, Tag("not")],
         Discriminator(_tag),
     ]
-    """A predicate, or several joined."""
+    """Predicate, or a combination of several."""
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
@@ -124,7 +124,7 @@ def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
 
 
 def texts(condition: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str, tuple[str | int, ...]]]:
-    """Yield every predicate of a condition as it is written, with its path."""
+    """Yield every predicate of a condition as written, with its path."""
     tag, below = parts(condition)
     if tag == "text":
         if isinstance(condition, str):

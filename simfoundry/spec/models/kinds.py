@@ -1,4 +1,4 @@
-"""Kinds of document; each model is imported when it is first needed."""
+"""Kinds of documents; each model is imported on first use."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.base import DocumentSpec
 
 KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
-"""Kind and version, as the first key of a document says."""
+"""Kinds with versions, as in the first key of a document."""
 
 
 def suffix(kind: str) -> str:
-    """Return the file name suffix of a kind: ``.scene.yaml``."""
+    """Return the file name suffix of a kind, such as ``.scene.yaml``."""
     return f".{kind.partition('/')[0]}.yaml"
 
 
 def is_document(path: Path) -> bool:
-    """True if a file is named like a document."""
+    """Return True if a file has the name of a document."""
     return path.name == "capture.yaml" or path.name.endswith(tuple(map(suffix, KINDS)))
 
 

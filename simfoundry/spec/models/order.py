@@ -1,4 +1,4 @@
-"""Canonical order of keys: those that people look for first, then the order of the models."""
+"""Canonical order of keys: the most important keys first, then the order of the models."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FIRST = (
     "pose",
     "place",
 )
-"""Fields of bodies and documents that people look for come first; the others follow in the order of their model."""
+"""Most important fields of bodies and documents, which come first; the others follow in the order of their model."""
 _LAST = ("allow", "conflicts")
 """Fields that come last."""
 _RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fromkeys(_LAST, 1)
@@ -43,7 +43,7 @@ _RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fr
 def field_order(model: type[Model]) -> list[str]:
     """Return the names of a model's fields in the order in which they are written.
 
-    That is the order of the model, but for bodies and whole documents, whose models begin with what they inherit.
+    This is the order of the model, except for bodies and whole documents, whose models begin with inherited fields.
     """
     if not issubclass(model, BodySpec | DocumentSpec):
         return list(model.model_fields)
@@ -51,7 +51,7 @@ def field_order(model: type[Model]) -> list[str]:
 
 
 class KeyOrder:
-    """Order of the keys at a place of a document and below it."""
+    """Order of the keys at and below a path in a document."""
 
     def __init__(self, *types_: Any) -> None:
         kinds = [kind for type_ in types_ for _, kind in flat(type_)]
@@ -66,12 +66,12 @@ class KeyOrder:
         self._inside: dict[str, KeyOrder] = {}
 
     def ordered(self, keys: Iterable[str]) -> list[str]:
-        """Return fields in their order, then other keys as they come; names stay as they come."""
+        """Return fields in canonical order, followed by other keys in their given order; names keep their order."""
         rank = self._rank
         return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
 
     def member(self, key: str) -> KeyOrder:
-        """Return the order below a key."""
+        """Return the order of the keys below a key."""
         known = key in self._fields
         slot = self._inside.get(key if known else "")
         if slot is None:
@@ -80,7 +80,7 @@ class KeyOrder:
 
     @functools.cached_property
     def item(self) -> KeyOrder:
-        """Order in the items of a list."""
+        """Return the order of the keys in the items of a list."""
         return KeyOrder(*self._items)
 
 

@@ -25,8 +25,9 @@ DEPTHS = ("in_front_of", "behind")
 class Place(Model):
     """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
 
-    Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `local_xy` and these four it
-    is in the middle of its support; one of the four leaves the other direction at the middle of its anchor.
+    Left, right, front and behind are seen from the scene's viewpoint. Without `xy`, `local_xy` or one of these four,
+    the object is at the centre of its support. With one of the four, it is aligned with the centre of its anchor in
+    the other direction.
     """
 
     on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")

@@ -1,4 +1,4 @@
-"""``policy/1``: the server of a policy, and the conventions that its protocol leaves open."""
+"""``policy/1``: the server of a policy, and the conventions that its protocol does not define."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from simfoundry.runtime.plugins import Registry
 from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
-"""A key of the messages that the policy takes: ``observation/wrist_image_left``."""
+"""Key of a message to the policy, such as ``observation/wrist_image_left``."""
 
 
 def _variable(text: str) -> str:
-    """Reject a text that is no variable name, without repeating it: it may be a key."""
+    """Reject a text that is not a variable name, without repeating it, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
         message = "expected the name of an environment variable in capitals, never a key itself"
         raise PydanticCustomError("sf104", "{message}", {"message": message})
@@ -27,7 +27,7 @@ def _variable(text: str) -> str:
 
 
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
-"""An environment variable. In capitals only, so that a key that is pasted here by mistake is refused."""
+"""Name of an environment variable; only capitals are allowed, so that a key pasted by mistake is rejected."""
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
@@ -36,12 +36,12 @@ Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
 @dataclass(frozen=True)
 class PolicyProtocol:
-    """Everything that is particular to one kind of policy server; each is one module, registered once.
+    """Properties of one kind of policy server; each is one module and is registered once.
 
-    ``open`` makes a policy of a document (a :class:`~simfoundry.evaluate.policies.base.Policy`). An address starts with
-    one of ``schemes``, the first if it has none, and has ``port`` if it has none; ``has_path`` if it may have a path.
-    ``tells_state`` is False if the server says itself what it is told of the robot. ``short_form`` are the keys of the
-    document that ``NAME:ADDRESS?…`` stands for, beside those that it gives.
+    ``open`` creates a policy (a :class:`~simfoundry.evaluate.policies.base.Policy`) from a document. An address starts
+    with one of ``schemes``; the first one and ``port`` are the defaults. ``has_path`` is True if an address may have a
+    path. ``tells_state`` is False if the server itself defines the robot state that it receives. ``short_form``
+    contains the additional keys of the document that the short form ``NAME:ADDRESS?…`` stands for.
     """
 
     open: Callable[[PolicySpec], Any]
@@ -57,7 +57,7 @@ PROTOCOLS: Registry[PolicyProtocol] = Registry(
     {name: f"simfoundry.evaluate.policies.{name}:PROTOCOL" for name in ("openpi", "roboarena", "groot")},
     PolicyProtocol,
 )
-"""The protocols of policy servers by name; they are imported when a document names them."""
+"""Protocols of policy servers by name; each is imported when a document uses it."""
 
 
 def _protocol(name: str) -> str:
@@ -77,13 +77,13 @@ ProtocolName = Annotated[
     AfterValidator(_protocol),
     Field(json_schema_extra={"examples": list(PROTOCOLS.built_in)}),
 ]
-"""A protocol by name: one of ours, or one that an installed package brings."""
+"""Name of a protocol: built-in, or provided by an installed package."""
 
 _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
 
 
 def address_uri(protocol: str, address: str) -> str:
-    """Return an address in full, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
+    """Return the full form of an address, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
     schemes = known.schemes
@@ -116,7 +116,8 @@ class GripperConvention(Model):
     open: Number = Field(0.0, description="Number for fully open.")
     closed: Number = Field(1.0, description="Number for fully closed.")
     threshold: Number | None = Field(
-        None, description="Closure, 0 to 1, from which the gripper closes fully; default: it also stops in between."
+        None,
+        description="Closure, 0 to 1, above which the gripper closes fully; default: intermediate positions are used.",
     )
 
     @model_validator(mode="after")
@@ -129,7 +130,7 @@ class GripperConvention(Model):
 
 
 class PolicySpec(DocumentSpec):
-    """A policy behind a server: its address, and the conventions that its protocol does not fix."""
+    """A policy behind a server: its address, and the conventions that its protocol does not specify."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
     protocol: ProtocolName = Field(
@@ -139,12 +140,12 @@ class PolicySpec(DocumentSpec):
         description="Address of the server: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="Meaning of the arm's numbers in an action, which no protocol fixes."
+        description="Meaning of the arm's values in an action, which no protocol specifies."
     )
     velocity_unit: Positive | None = Field(
         None,
         description="Velocity [rad/s or m/s] of the value 1, if velocities range from -1 to 1; DROID: 3. "
-        "Default: they come in rad/s or m/s.",
+        "Default: velocities are in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
         description="Steps of each action chunk to execute before the policy is queried again."
@@ -156,9 +157,11 @@ class PolicySpec(DocumentSpec):
     gripper: GripperConvention = Field(
         GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
     )
-    timeout: Positive = Field(60.0, le=86400, description="Timeout of an answer [s].")
+    timeout: Positive = Field(60.0, le=86400, description="Timeout of a response [s].")
     warm_up: Positive = Field(
-        600.0, le=86400, description="Timeout of the first answer of a connection, while the server compiles [s]."
+        600.0,
+        le=86400,
+        description="Timeout of the first response of a connection, during which the server may compile [s].",
     )
     retries: Whole = Field(3, description="Attempts to restore a lost connection before a rollout fails.")
     api_key: Variable | None = Field(

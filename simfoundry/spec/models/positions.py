@@ -1,4 +1,4 @@
-"""Joint positions as documents write them."""
+"""Joint positions as written in documents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
 
 Written = float | Degrees | PoseSpec
-"""A position [m or rad], an angle in degrees, or the pose that a ball or free joint has moved to."""
+"""Position [m or rad], angle in degrees, or pose of a ball or free joint."""
 
 
 def number(position: Written) -> float:
@@ -26,7 +26,7 @@ def number(position: Written) -> float:
 def position(asset: AssetSpec, name: str, given: Mapping[str, Written]) -> float:
     """Return the position [m or rad] of a joint, 0 if not ``given``; a mimic joint follows its leader.
 
-    Where they lead in a ring, or to no joint, it is 0.
+    If the leaders form a cycle or a leader does not exist, the position is 0.
     """
     seen: set[str] = set()
     scale, offset = 1.0, 0.0

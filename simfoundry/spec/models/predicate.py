@@ -1,7 +1,7 @@
-"""Predicates as the language knows them: name, arguments and meaning, without numpy.
+"""Declarations of predicates (name, arguments, and meaning) without numpy.
 
 Each predicate is one file of :mod:`simfoundry.predicates`, or an entry point of another package in the group
-``simfoundry.predicates``, which holds a :class:`Predicate`.
+``simfoundry.predicates`` that refers to a :class:`Predicate`.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from simfoundry.runtime.plugins import PluginError, Registry
 
 
 class Effect(StrEnum):
-    """The change that a robot must make for a predicate to become true."""
+    """Change that a robot must make for a predicate to become true."""
 
     NONE = "none"
-    """Nothing that a robot must reach."""
+    """No change that the robot must reach for."""
     MOVE = "move"
     """Move the first argument, by pushing or otherwise."""
     GRASP = "grasp"
-    """Take the first argument between the fingers."""
+    """Grasp the first argument between the fingers."""
     PLACE = "place"
     """Grasp the first argument and put it onto or into the second."""
     JOINT = "joint"
@@ -31,29 +31,30 @@ class Effect(StrEnum):
 
     @property
     def grasps(self) -> bool:
-        """True if the first argument must fit between the fingers."""
+        """Return True if the first argument must fit between the fingers."""
         return self in (Effect.GRASP, Effect.PLACE)
 
     @property
     def moves_object(self) -> bool:
-        """True if the first argument must be moved as a whole."""
+        """Return True if the first argument must be moved as a whole."""
         return self.grasps or self is Effect.MOVE
 
 
 @dataclass(frozen=True)
 class Predicate:
-    """Declaration of a predicate and the rule that judges it.
+    """Declaration of a predicate and the rule that evaluates it.
 
-    ``parameters`` are the kinds of the arguments: ``thing`` an object or a part of one, ``body`` that or a robot,
-    ``joint`` an object (all of its joints) or one joint of it, ``robot``, ``number``. The last ``optional`` may be left
-    out.
+    ``parameters`` are the kinds of the arguments: ``thing`` is an object or a part of one, ``body`` is a thing or a
+    robot, ``joint`` is an object (meaning all of its joints) or one of its joints; the others are ``robot`` and
+    ``number``. The last ``optional`` arguments may be omitted.
 
-    ``rule`` is called with :class:`~simfoundry.predicates.judging.terms.Terms` and the arguments, and adds to the terms
-    what must hold. Its file is read by ``simfoundry check``, so that numpy is imported inside the rule. ``definition``
-    says when the predicate is true, with its thresholds; ``unit`` is that of its margin.
+    ``rule`` is called with :class:`~simfoundry.predicates.judging.terms.Terms` and the arguments, and adds the
+    conditions that must hold to the terms. ``simfoundry check`` imports its module, so numpy is imported only inside
+    the rule. ``definition`` describes when the predicate is true, including thresholds; ``unit`` is the unit of its
+    margin.
 
-    ``aliases`` are the names that others use; with those in ``robot_first`` the robot comes before the object.
-    ``before_motion`` is its value before any robot has moved, None if that depends on the scene.
+    ``aliases`` are the names in other formats; for those in ``robot_first`` the robot comes before the object.
+    ``before_motion`` is the value before any robot has moved; None if it depends on the scene.
     """
 
     name: str
@@ -70,7 +71,7 @@ class Predicate:
 
     @property
     def counts(self) -> str:
-        """Number of arguments in words."""
+        """Return the number of arguments as text."""
         most = len(self.parameters)
         plural = "" if most == 1 else "s"
         return f"{most - self.optional} or {most} arguments" if self.optional else f"{most} argument{plural}"
@@ -99,16 +100,16 @@ PREDICATES = Registry(
     },
     Predicate,
 )
-"""The predicates by name."""
+"""Predicates by name."""
 
 
 def built_in_predicates() -> dict[str, Predicate]:
-    """Return the built-in predicates by name, for schemas and pages that must not depend on installed plug-ins."""
+    """Return the built-in predicates by name, for schemas and pages, which must not depend on installed plug-ins."""
     return {name: PREDICATES.load(name) for name in PREDICATES.built_in}
 
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    """Return a predicate and its arguments in our spelling; unknown names stay as they are."""
+    """Return the canonical name and arguments of a predicate; unknown names are returned unchanged."""
     if name in PREDICATES.built_in:
         return name, arguments
     found = _by_alias(tuple(PREDICATES.built_in)).get(name)
@@ -121,7 +122,7 @@ def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ..
 
 @lru_cache(maxsize=4)
 def _by_alias(names: tuple[str, ...]) -> Mapping[str, Predicate]:
-    """Return the predicates by the names that others use; the first claim wins, broken plug-ins have none."""
+    """Return the predicates by alias; the first predicate with an alias wins, and broken plug-ins are skipped."""
     found: dict[str, Predicate] = {}
     for name in names:
         try:

@@ -11,16 +11,17 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive
 
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
-"""A joint as the robot's own model calls it."""
+"""Name of a joint in the robot's model."""
 
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """Facts about a robot that need no model, from its file in ``simfoundry/robots``.
+    """Properties of a robot that do not require its model, read from its file in ``simfoundry/robots``.
 
-    ``reach`` [m]: the farthest a grasp can be from the base, measured along the ground; ``opening`` [m]: the widest
-    object that fits between the fingers; ``payload`` [kg]: the heaviest object that it should lift, None if unknown;
-    ``links``: where cameras can be mounted; ``home`` [rad or m]: joint positions by name.
+    ``reach`` [m] is the largest horizontal distance of a grasp from the base; ``opening`` [m] is the width of the
+    widest object that fits between the fingers; ``payload`` [kg] is the mass of the heaviest object that it should
+    lift, None if unknown; ``links`` are the links on which cameras can be mounted; ``home`` [rad or m] contains joint
+    positions by name.
     """
 
     reach: float
@@ -33,7 +34,7 @@ class KnownRobot:
 class RobotFiles(Model):
     """A robot of your own: its model in one or more formats; each target takes its native one.
 
-    Rollouts ask for its hand and, where it has one, its gripper, which no model names: those stand in a robot ``file``.
+    Rollouts need its hand and gripper (if it has one), which only a robot ``file`` defines.
     """
 
     file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
@@ -59,7 +60,7 @@ class RobotSpec(Model):
     model: Annotated[
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
-    ] = Field(description="A known robot, as `franka_robotiq`, or the files of another.")
+    ] = Field(description="A known robot, such as `franka_robotiq`, or the files of another one.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
@@ -73,7 +74,7 @@ class RobotSpec(Model):
     )
 
     def known(self) -> KnownRobot | None:
-        """The known robot with this name; None for another, or if its file is faulty, which `check` reports."""
+        """Return the known robot with this name; None if it is unknown or its file is faulty, which `check` reports."""
         from simfoundry.spec.models.robot_file import find_robot
 
         try:

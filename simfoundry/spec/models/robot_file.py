@@ -1,6 +1,6 @@
-"""Robot files: one YAML describes a robot, and those that scenes know by name are found here.
+"""Robot files, which describe one robot each, and the look-up of robots by name.
 
-They are the files of ``simfoundry/robots``, of a folder of one's own, and of installed packages.
+Robots that scenes can name have files in ``simfoundry/robots``, in a user folder, or in installed packages.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from simfoundry.spec.models.base import Model, Name, Number, PoseSpec, Positive
 from simfoundry.spec.models.robot import JointName, KnownRobot
 
 Reference = str
-"""A model's file: a path, `pkg:package/path`, or `menagerie:robot` or `robot_descriptions:name`, both with or without a
-`/path`."""
+"""File of a model: a path, `pkg:package/path`, `menagerie:robot`, or `robot_descriptions:name`; the last two may be
+followed by `/path`."""
 
 Travel = tuple[Number, Number]
-"""Where something is with the gripper open, and where with it closed."""
+"""Values with the gripper open and with it closed."""
 
 
 class FrameSpec(Model):
@@ -68,8 +68,8 @@ class ModelSpec(Model):
     file: Reference | list[Reference] = Field(
         description="The file, or several, of which the first that exists is used."
     )
-    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, as a gripper, by name.")
-    links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
+    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, such as a gripper, by name.")
+    links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, such as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None
     effort: dict[JointName, Positive] = Field(
@@ -84,7 +84,7 @@ class ModelSpec(Model):
 
     @property
     def files(self) -> list[Reference]:
-        """Files to look for, best first."""
+        """Return the files to look for, best first."""
         return [self.file] if isinstance(self.file, str) else self.file
 
 
@@ -101,13 +101,13 @@ class RobotFileSpec(Model):
 
     @property
     def models(self) -> dict[str, ModelSpec]:
-        """Models by format."""
+        """Return the models by format."""
         found = {"mjcf": self.mjcf, "urdf": self.urdf, "usd": self.usd}
         return {key: model for key, model in found.items() if model is not None}
 
     @property
     def home_positions(self) -> dict[str, float]:
-        """Home position of the arm, by the scene's names of the joints [rad or m]."""
+        """Return the home position [rad or m] of the arm by the joint names that scenes use."""
         return {f"joint{k}": position for k, position in enumerate(self.home or (), 1)}
 
 
@@ -120,41 +120,41 @@ def read_robot_file(file: Path) -> RobotFileSpec:
         if isinstance(error, ValidationError):
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"]) or "the file"
-            raise SimfoundryError(f"{file}: {where}: {first['msg']}; docs/robots.md has the form") from None
+            raise SimfoundryError(f"{file}: {where}: {first['msg']}; see docs/robots.md for the format") from None
         reason = str(error).splitlines()[0]
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
             reason = f"line {error.problem_mark.line + 1}: {error.problem}"
         raise SimfoundryError(f"{file} is not a robot file: {reason}") from None
     if not models.models:
-        raise SimfoundryError(f"{file} names no model; give `mjcf`, `urdf` or `usd`; docs/robots.md has the form")
+        raise SimfoundryError(f"{file} names no model; give `mjcf`, `urdf` or `usd`; see docs/robots.md for the format")
     return models
 
 
 GROUP = "simfoundry.robots"
 
 OWN_ROBOTS = "SIMFOUNDRY_ROBOTS"
-"""The environment variable that names a folder of one's own robot files, `my_arm.yaml` and so on."""
+"""Environment variable with the path of a user folder of robot files such as `my_arm.yaml`."""
 
 BUILT_IN = Path(__file__).parents[2] / "robots"
-"""The folder of the robots that come with the package."""
+"""Folder of the built-in robots."""
 
 
 def own_folder(must_exist: bool = False) -> Path | None:
-    """Return the folder of one's own robot files, if one is named and exists.
+    """Return the user folder of robot files if it is set and exists.
 
-    With ``must_exist`` raise :class:`SimfoundryError` if the folder that is named is missing.
+    With ``must_exist``, raise :class:`SimfoundryError` if it is set but missing.
     """
     named = os.environ.get(OWN_ROBOTS)
     folder = Path(named).expanduser().resolve() if named else None
     if folder is None or folder.is_dir():
         return folder
     if must_exist:
-        raise SimfoundryError(f"{OWN_ROBOTS} names {folder}, and there is no such folder")
+        raise SimfoundryError(f"{OWN_ROBOTS} names the folder {folder}, which does not exist")
     return None
 
 
 def robot_names() -> list[str]:
-    """Return the robots that a scene can name: built-in ones, those of one's own folder, those of packages."""
+    """Return the robots that a scene can name: built-in, in the user folder, and in installed packages."""
     folders = [BUILT_IN, *filter(None, [own_folder()])]
     return list(dict.fromkeys([*(p.stem for f in folders for p in sorted(f.glob("*.yaml"))), *plugins(GROUP)]))
 
@@ -162,8 +162,8 @@ def robot_names() -> list[str]:
 def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
     """Return the file of the robot called ``name``, and the document that its paths are relative to.
 
-    What one's own folder says of a built-in robot stands in place of what is built in. None if nobody knows the robot;
-    raises :class:`SimfoundryError` for a faulty file.
+    A file in the user folder overrides a built-in robot. None if the robot is unknown; raises :class:`SimfoundryError`
+    for a faulty file.
     """
     folder = own_folder()
     own = folder / f"{name}.yaml" if folder is not None else None
@@ -179,9 +179,9 @@ def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
 
 
 def find_robot(name: str) -> KnownRobot | None:
-    """Return the robot that scenes call ``name``, None if there is none.
+    """Return the robot that scenes call ``name``; None if there is none.
 
-    Raises :class:`SimfoundryError` if its file does not say what a scene relies on.
+    Raises :class:`SimfoundryError` if its file lacks fields that scenes require.
     """
     found = known_robot_file(name)
     if found is None:
@@ -194,7 +194,7 @@ def find_robot(name: str) -> KnownRobot | None:
 
 
 def _read(path: Path) -> RobotFileSpec:
-    """Read a robot file once for all the scenes that name it."""
+    """Read a robot file, cached for all scenes that name it."""
     return _read_once(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 

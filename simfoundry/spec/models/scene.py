@@ -46,7 +46,7 @@ JointPosition = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[PoseSpec, Tag("pose")],
     Discriminator(_position_tag),
 ]
-"""Where a joint is: a number, ``{deg: 30}``, or of a ball or free joint a pose from where it is at zero."""
+"""Joint position: a number, ``{deg: 30}``, or for a ball or free joint a pose relative to its zero position."""
 
 Touching = tuple[PartName, PartName]
 
@@ -54,13 +54,13 @@ Touching = tuple[PartName, PartName]
 Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
 
 DEFAULT_VARIANT = "default"
-"""The variant of an object that is the object as it is written."""
+"""Name of the variant that is the object as written."""
 
 
 class VariantSpec(BodySpec):
-    """Differences of one variant of an object; everything else is as the object has it.
+    """Differences of one variant from its object; all other properties are those of the object.
 
-    A new `shape` or `asset` comes without the old one's `scale` and `visual`.
+    A new `shape` or `asset` also removes the object's `scale` and `visual`.
     """
 
     shape: Shape | None = Field(None, description="A primitive.")
@@ -68,8 +68,8 @@ class VariantSpec(BodySpec):
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
-    visual: FileName | None = Field(None, description="A mesh to render in place of the shape.")
-    category: Name | None = Field(None, description="Category, as `mug`.")
+    visual: FileName | None = Field(None, description="A mesh to render instead of the shape.")
+    category: Name | None = Field(None, description="Category, such as `mug`.")
     labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
 
     @model_validator(mode="after")
@@ -90,23 +90,24 @@ class ObjectSpec(BodySpec):
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
     visual: FileName | None = Field(
-        None, description="A mesh to render in place of the shape; it has no effect on physics."
+        None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
-    category: Name | None = Field(None, description="Category, as `mug`; default: its name.")
+    category: Name | None = Field(None, description="Category, such as `mug`; default: its name.")
     labels: Labels = Field((), description="Labels for vision systems, the most specific first; default: its category.")
     fixed: bool = Field(False, description="Welded to the world.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its frame in the world.")
-    place: Place | None = Field(None, description="Placement that is solved for its pose; instead of `pose`.")
+    place: Place | None = Field(None, description="Placement from which its pose is computed, instead of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
-        description="Joint positions by name: metres, radians, or `{deg: 30}`; of a ball joint its rotation, as "
-        "`{rpy_deg: [10, 0, 20]}`, of a free joint a pose; default 0.",
+        description="Joint positions by name: metres, radians, or `{deg: 30}`; for a ball joint a rotation such as "
+        "`{rpy_deg: [10, 0, 20]}`, for a free joint a pose; default: 0.",
     )
     variant: Name | None = Field(
-        None, description="The one of its `variants` to compile; default: `default`, the object as written."
+        None, description="The variant to compile, one of `variants`; default: `default`, the object as written."
     )
     variants: dict[Name, VariantSpec] = Field(
-        {}, description="Alternatives by name, each with its differences; in USD one variant set holds all."
+        {},
+        description="Variants by name, each with its differences from the object; USD stores them in one variant set.",
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
 
@@ -189,7 +190,7 @@ class SceneSpec(DocumentSpec):
     no_contact: tuple[Touching, ...] = Field(
         (),
         max_length=1000,
-        description="Pairs that do not collide: objects, or links of them as `cabinet.door`.",
+        description="Pairs that do not collide: objects, or their links such as `cabinet.door`.",
     )
-    relations: tuple[str, ...] = Field((), description="Relations that should hold, as `OnTop(cup, desk)`.")
+    relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")

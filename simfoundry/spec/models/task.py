@@ -20,8 +20,8 @@ Range = tuple[Number, Number]
 class Start(Model):
     """Differences from the scene at the start."""
 
-    place: dict[Name, Place] = Field({}, description="Objects with another place, by name.")
-    pose: dict[Name, PoseSpec] = Field({}, description="Objects with another pose, by name.")
+    place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
+    pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")
     joints: dict[Name, dict[Name, JointPosition]] = Field(
         {}, description="Joint positions by object and joint, as in a scene."
     )
@@ -46,7 +46,7 @@ class Subtask(Model):
 
 
 class ResetRegion(Model):
-    """Region in which an object starts; its height is that of the scene."""
+    """Region in which an object starts; its height is unchanged."""
 
     x: Point2 = Field(description="Minimum and maximum x in the world [m].")
     y: Point2 = Field(description="Minimum and maximum y in the world [m].")
@@ -64,10 +64,10 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """Variation of the starts: in each rollout, each object takes another cell of its region's grid."""
+    """Variation of the start states: each rollout puts each object into a different cell of its region's grid."""
 
     grid: tuple[Cells, Cells] = Field((5, 5), description="Cells of each region along x and y.")
-    objects: dict[Name, ResetRegion] = Field({}, description="Objects that start elsewhere, by name.")
+    objects: dict[Name, ResetRegion] = Field({}, description="Start regions of objects, by name.")
 
 
 class TaskSpec(DocumentSpec):
@@ -87,6 +87,6 @@ class TaskSpec(DocumentSpec):
     reset: Reset = Field(Reset(), description="Variation of the starts of rollouts.")
     control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
-        600, description="Control steps until the task counts as failed."
+        600, description="Maximum number of control steps, after which the task has failed."
     )
     origin: Origin | None = Field(None, description="Origin of the task.")

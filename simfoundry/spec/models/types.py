@@ -1,4 +1,4 @@
-"""Walk the types of the models along paths of documents."""
+"""Look up the types of the models along document paths."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from pydantic import BaseModel, Tag
 from simfoundry.spec.models.base import FormerKey, Model, Reference
 
 Pattern = tuple[str, ...]
-"""A path in which ``*`` stands for any name or index."""
+"""Path in which ``*`` stands for any name or index."""
 
 
 def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
-    """Return the model classes that may stand at ``loc`` below the type ``root``."""
+    """Return the possible model classes at ``loc`` below the type ``root``."""
     current = list(flat(root))
     for part in loc:
         following: list[Any] = []
@@ -29,7 +29,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """Yield the types that may stand below ``part`` of a type."""
+    """Yield the possible types of the member ``part`` of a type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             info = kind.model_fields[part]
@@ -41,13 +41,13 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
-    """Return the present key for each former key of a model's fields."""
+    """Return the current key for each former key of a model's fields."""
     marks = ((name, mark) for name, info in model.model_fields.items() for mark in info.metadata)
     return {mark.key: name for name, mark in marks if isinstance(mark, FormerKey)}
 
 
 def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield the paths of former keys in a document, each with the present key; the innermost first."""
+    """Yield the paths of former keys in a document, each with the current key, innermost first."""
     kinds = [kind for _, kind in flat(root)]
     if isinstance(data, dict):
         models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -63,7 +63,7 @@ def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterat
 
 
 def with_present_keys(root: Any, data: Any) -> Any:
-    """Return the data of a document with the present names of its keys."""
+    """Return the data of a document with the current names of its keys."""
     for path, name in former_paths(root, data):
         data = _renamed(data, path, name)
     return data
@@ -80,12 +80,12 @@ def _renamed(data: Any, path: tuple[str | int, ...], name: str) -> Any:
 
 
 def is_mapping(model: type[BaseModel], key: str) -> bool:
-    """True if a field holds a mapping by name."""
+    """Return True if a field is a named mapping."""
     return typing.get_origin(model.model_fields[key].annotation) is dict
 
 
 def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
-    """Yield the plain types of a type, each with its union tag."""
+    """Yield the members of a union type, each with its tag."""
     origin = typing.get_origin(kind)
     if origin is typing.Annotated:
         inner, *metadata = typing.get_args(kind)
@@ -99,7 +99,7 @@ def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
 
 
 def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
-    """Yield the patterns of the paths at which a kind of document names files."""
+    """Yield the patterns of the paths at which a kind of document refers to files."""
     for name, info in model.model_fields.items():
         whole = typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
         yield from ((name, *below) for below in _files(whole, (*seen, model)))

@@ -11,13 +11,13 @@ from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec
 
 GEOMETRY = ("shape", "asset")
 OF_GEOMETRY = ("scale", "visual")
-"""What belongs to a shape or mesh, and goes with it."""
+"""Fields that belong to a shape or mesh and are dropped when it is replaced."""
 
 
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
-    """Return the object as its variant ``name`` has it, without variants; ``default`` is the object as written.
+    """Return the variant ``name`` of an object, without further variants; ``default`` is the object as written.
 
-    Raises :class:`pydantic.ValidationError` where the two do not fit together, as a `scale` for a primitive.
+    Raises :class:`pydantic.ValidationError` if object and variant are incompatible, such as a `scale` for a primitive.
     """
     given: dict[str, Any] = {key: getattr(item, key) for key in item.model_fields_set - {"variant", "variants"}}
     if name != DEFAULT_VARIANT:
@@ -26,7 +26,7 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
         dropped = {rival for group in EXCLUSIVE for key in group if key in changes for rival in group} - changes.keys()
         if any(key in changes for key in GEOMETRY):
             dropped |= {*OF_GEOMETRY, "joints"} - changes.keys()
-        if over.asset is not None and is_document(over.asset):  # its links have mass and material of their own
+        if over.asset is not None and is_document(over.asset):  # its links define mass and material themselves
             dropped |= BodySpec.model_fields.keys() - changes.keys()
         given = {key: value for key, value in given.items() if key not in dropped} | changes
     return ObjectSpec(**given)

@@ -1,1 +1,1 @@
-"""Strict YAML in and out, with the position of every value and every comment kept."""
+"""Strict YAML reader and writer that preserve comments and the position of every value."""

@@ -1,4 +1,4 @@
-"""Assign every comment of a text to the value that it is about."""
+"""Assign every comment in a text to the value that it describes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")
 _ANCHOR = re.compile("&[0-9A-Za-z_-]+")
 _GAP = re.compile("(?:[ \t\r\n\x85\u2028\u2029\ufeff]|#[^\r\n\x85\u2028\u2029]*)*")
 _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
-"""The first line of a block text with a comment in it."""
+"""Header line of a block scalar with a comment."""
 
 
 @dataclass(slots=True)
 class Notes:
-    """Comments of a value, and of its members by key or index."""
+    """Comments of a value and of its members, by key or index."""
 
     above: list[str] = field(default_factory=list)
     beside: str = ""
@@ -36,23 +36,23 @@ class Notes:
 
 
 def read_notes(text: str, root: Node, first: str) -> Notes:
-    """Return the comments of a text that was read to ``root``.
+    """Return the comments of a text that was parsed into ``root``.
 
-    Comments on top are the document's where ``first`` is its first key.
+    Comments at the top belong to the document if ``first`` is its first key.
     """
     return _Reader(text, root, first).read()
 
 
 @dataclass(slots=True)
 class _Frame:
-    """A mapping or list that is still open; ``indent`` is its column, or -1 in brackets."""
+    """Mapping or list that is still open; ``indent`` is its column, or -1 in brackets."""
 
     node: Node
     path: Path_
     indent: int
     part: str | int | None = None  # the key or index of the entry that was read last
-    value_next: bool = False  # a key was read, and its value comes next
-    open: int = 0  # parentheses that the last item of a bracketed list has not closed
+    value_next: bool = False  # a key was read and its value comes next
+    open: int = 0  # unclosed parentheses in the last item of a bracketed list
 
     @property
     def mapping(self) -> bool:
@@ -61,7 +61,7 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Pending:
-    """A comment whose owner the next event decides; ``alone`` on its line or after a dash."""
+    """Comment whose owner depends on the next event; ``alone`` is True on its own line or after a dash."""
 
     start: int
     column: int
@@ -70,10 +70,10 @@ class _Pending:
 
 
 class _Reader:
-    """Walks the events of a text and assigns the comments between them.
+    """Reads the parser events of a text and assigns the comments between them.
 
-    A comment on a line of its own belongs to what comes next, or to the end of the mapping or list that ends next if it
-    is indented deeper than what holds that one. A comment behind something belongs to what is before it.
+    A comment on its own line belongs to the next value, or to the end of the mapping or list that ends next if it is
+    indented deeper than the parent of that collection. A comment after a value on the same line belongs to that value.
     """
 
     def __init__(self, text: str, root: Node, first: str) -> None:
@@ -82,9 +82,9 @@ class _Reader:
         self.starts = [0, *(m.end() for m in _BREAK.finditer(text))]
         self.stack: list[_Frame] = []
         self.pending: list[_Pending] = []
-        self.owner: tuple[str, Path_, int] = ("", (), -1)  # what was read last: its kind, path and end
-        self.next = text.find("#")  # the next that may start a comment
-        self.directives = 0  # where they end
+        self.owner: tuple[str, Path_, int] = ("", (), -1)  # the last value that was read: kind, path, and end
+        self.next = text.find("#")  # next position that may start a comment
+        self.directives = 0  # end of the directives
         self.plain: dict[str, str] = {}  # unquoted scalars by anchor
 
     def read(self) -> Notes:
@@ -131,7 +131,7 @@ class _Reader:
 
     def _key(self, frame: _Frame, key: str, end: int) -> None:
         assert isinstance(frame.node.children, dict)
-        if key in frame.node.children:  # otherwise it is the rest of the text before it, which has a comma
+        if key in frame.node.children:  # otherwise it is the rest of a preceding text with a comma
             frame.part = key
         frame.value_next = True
         self._owned("key", (*frame.path, frame.part or ""), end)
@@ -141,10 +141,10 @@ class _Reader:
         self._owned("scalar", path, end)
 
     def _owned(self, kind: str, path: Path_, end: int) -> None:
-        """Something was read; the comments before it are its own."""
+        """Record a value or key that was read, and assign the pending comments to it."""
         if self.pending:
             notes = self._at(path)
-            if notes.beside:  # beside the key, and the value comes lines later
+            if notes.beside:  # beside the key, with the value on a later line
                 notes.above.append(notes.beside)
                 notes.beside = ""
             notes.above += [c.text for c in self.pending]
@@ -169,9 +169,9 @@ class _Reader:
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
     def _about_whole(self, start: int, in_list: bool) -> int:
-        """Count the pending comments that are about the whole value that starts here, not its first entry.
+        """Count the pending comments that belong to the whole value that starts here and not to its first entry.
 
-        They stand above the dash of an item, beside its dash, or beside a colon that has a line of its own.
+        They are above the dash of an item, beside its dash, or beside a colon on a line of its own.
         """
         ends = [c.start for c in self.pending[1:]] + [start]
         for k in range(len(self.pending) - 1, -1, -1):
@@ -203,7 +203,7 @@ class _Reader:
             frame.value_next = False
         else:
             open_ = plain.count("(") - plain.count(")")
-            if frame.indent < 0 and frame.open > 0 and plain:  # the rest of a text that has a comma in parentheses
+            if frame.indent < 0 and frame.open > 0 and plain:  # the rest of a text with a comma in parentheses
                 frame.open += open_
             else:
                 frame.part = 0 if frame.part is None else int(frame.part) + 1
@@ -213,13 +213,13 @@ class _Reader:
     # -- comments -------------------------------------------------------------------------------------------------
 
     def _gap(self, end: int) -> None:
-        """Take the comments before ``end``, up to which there is nothing else."""
+        """Collect the comments before ``end``; the text up to there contains nothing else."""
         while 0 <= self.next < end:
             match = _COMMENT.match(self.text, self.next)
             assert match is not None
             start = self.next
             if start < self.directives and self.text[start - 1 : start].strip():
-                self.next = self.text.find("#", start + 1)  # in a word of a directive
+                self.next = self.text.find("#", start + 1)  # inside a directive
                 continue
             self.next = self.text.find("#", match.end())
             self._comment(start, match[0].rstrip(" \t"))
@@ -243,9 +243,9 @@ class _Reader:
             notes.beside = text
 
     def _take_top(self, key: str, start: int) -> None:
-        """Give the document the comments on top: those above its first ``key``.
+        """Assign the comments at the top, above the first ``key``, to the document.
 
-        Those directly above a key that should not come first, parted from others by a blank line, are the key's.
+        If another key should come first, comments directly above ``key`` that follow a blank line belong to that key.
         """
         parted = len(self.pending)
         ends = [c.start for c in self.pending[1:]] + [start]
@@ -263,7 +263,7 @@ class _Reader:
         return notes
 
     def _start(self, event: Any) -> int:
-        """Return where the value itself starts, behind its anchor."""
+        """Return the start of the value itself, after its anchor."""
         start: int = event.start_mark.index
         anchor = _ANCHOR.match(self.text, start) if event.anchor is not None else None
         if anchor is None:

@@ -1,4 +1,4 @@
-"""Compose the events of a YAML parser into values with positions."""
+"""Compose YAML parser events into values with positions."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import yaml
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
 MAX_DEPTH = 64
-"""Levels of nesting: the specs of this repository have at most 9; Python's recursion limit of 1000 is far away."""
+"""Largest nesting depth: specs in this repository have at most 9 levels, and Python's recursion limit is 1000."""
 
 MAX_NODES = 150_000
-"""Values, each as often as aliases repeat it: a scene of 1,000 objects has about 16,000."""
+"""Largest number of values, counting repetitions by aliases: a scene of 1,000 objects has about 16,000."""
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
@@ -30,18 +30,18 @@ _WORDS: dict[str, Any] = {
 }
 
 _NUMERIC = frozenset("0123456789+-.")
-"""What a number starts with."""
+"""Characters that can start a number."""
 
 _NO_KEYS: dict[str, tuple[int, int]] = {}
-"""The keys of all that is no mapping; nobody adds to it."""
+"""Key positions of all nodes that are not mappings; never modified."""
 
 
 @dataclass(slots=True)
 class Node:
-    """A value with its position (from 1); a mapping has the positions of its keys, an unquoted scalar its text.
+    """Value with its position (from 1); mappings have the positions of their keys, unquoted scalars their text.
 
-    ``weight`` counts the values in it, each as often as an alias repeats it. ``file`` is set where the value, and the
-    key before it, comes from another file than the document itself: one that it extends.
+    ``weight`` counts the values in it, including repetitions by aliases. ``file`` is set if the value and its key come
+    from a file that the document extends rather than from the document itself.
     """
 
     value: Any
@@ -55,7 +55,7 @@ class Node:
 
 
 class YamlError(Exception):
-    """An error that stops the reading of a text."""
+    """Error that prevents reading a text."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
         super().__init__(message)
@@ -68,9 +68,9 @@ class YamlError(Exception):
 
 @dataclass(slots=True)
 class _Open:
-    """An open collection: its start, its members, and in a mapping the key that waits for a value.
+    """Open collection: its start, its members, and for a mapping the key that waits for a value.
 
-    ``key`` is the key's name, line, column, and text where it is plain.
+    ``key`` contains the key's name, line, column, and text if it is plain.
     """
 
     start: Any
@@ -80,19 +80,19 @@ class _Open:
 
     @property
     def wants_key(self) -> bool:
-        """True if a key comes next."""
+        """Return True if a key comes next."""
         return self.key is None and type(self.children) is dict
 
 
 class Composer:
-    """Builds :class:`Node` trees from parser events without recursion, so that depth cannot exhaust the stack."""
+    """Builds :class:`Node` trees from parser events without recursion, so that nesting cannot exhaust the stack."""
 
     def __init__(self, file: str) -> None:
         self.file = file
         self.roots: list[Node] = []
         self.documents = 0
         self.nodes = 0
-        self.stack = [_Open(None, Node((), 1, 1), self.roots)]  # at the bottom the text itself
+        self.stack = [_Open(None, Node((), 1, 1), self.roots)]  # the bottom entry is the text itself
         self.anchors: dict[str, Node] = {}
         self.duplicates: list[Diagnostic] = []
 
@@ -109,7 +109,7 @@ class Composer:
             self._add(Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain), event.anchor)
 
     def _key(self, top: _Open, event: Any, line: int, column: int, plain: str) -> None:
-        """Start a key of the mapping on top of the stack; it counts as a value."""
+        """Start a key of the mapping on top of the stack; keys count as values."""
         if event.tag is not None:
             raise _tag_error(event)
         if plain == "<<":
@@ -174,13 +174,13 @@ class Composer:
             self.anchors[anchor] = node
 
     def _add_to_mapping(self, top: _Open, children: dict[str, Node], node: Node) -> None:
-        if top.key is None:  # an alias, or a collection that ends
+        if top.key is None:  # an alias or the end of a collection
             raise YamlError("SF004", "a key must be a plain word", node.line, node.column)
         name, line, column, plain = top.key
         top.key = None
         if plain and node.value is None and not node.plain and top.start.flow_style:
             last = next(reversed(children.values()), None)
-            if last is not None and _is_open(last):  # `{goal: OnTop(cup, desk)}` is one text, as in a list
+            if last is not None and _is_open(last):  # `{goal: OnTop(cup, desk)}` is one string, as in a list
                 last.value = last.plain = f"{last.plain}, {plain}"
                 return
         if name in children:
@@ -196,7 +196,7 @@ class Composer:
 def _rejoined(items: list[Node]) -> list[Node]:
     """Rejoin a bracketed sequence that plain YAML splits inside parentheses: ``[OnTop(cup, desk), Closed(box)]``.
 
-    Plain YAML splits such a text at its comma. Only plain scalars carry ``plain``; quoted ones stay as they are.
+    Plain YAML splits such a string at its comma. Only unquoted scalars have ``plain``; quoted ones are left unchanged.
     """
     if not any("(" in item.plain for item in items):
         return items
@@ -212,7 +212,7 @@ def _rejoined(items: list[Node]) -> list[Node]:
 
 
 def _is_open(node: Node) -> bool:
-    """True if a plain text has an unclosed parenthesis."""
+    """Return True if an unquoted text has an unclosed parenthesis."""
     return bool(node.plain) and node.plain.count("(") > node.plain.count(")")
 
 
@@ -229,7 +229,7 @@ def _value(event: Any) -> Any:
     if event.tag is not None:
         raise _tag_error(event)
     text: str = event.value
-    if event.style:  # quoted and block scalars are strings, whatever they look like
+    if event.style:  # quoted and block scalars are always strings
         return text
     if text in _WORDS:
         return _WORDS[text]

@@ -1,4 +1,4 @@
-"""Spell scalars: numbers in their shortest form, texts with quotes only if they need them."""
+"""Format scalars: numbers in their shortest form, and strings with quotes only if required."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
 DIGITS = 6
-"""Decimals of a number: micrometres and milligrams, finer than any capture measures."""
+"""Number of decimals: micrometres and milligrams, finer than the accuracy of any capture."""
 LARGE = 1e15
-"""From here on numbers are written with an exponent."""
+"""Numbers at least this large are written with an exponent."""
 
 Where = Literal["block", "item", "value"]
-"""Where a text stands: on a line of its own, in a list in brackets, or in a mapping in braces."""
+"""Context of a string: block style, in a list in brackets, or in a mapping in braces."""
 
 _FRAME: dict[Where, tuple[str, Any]] = {
     "block": ("a: {}", lambda text: {"a": text}),
     "item": ("[a, {}, b]", lambda text: ("a", text, "b")),
     "value": ("{{a: {}, b: 1}}", lambda text: {"a": text, "b": 1}),
 }
-"""A text is written without quotes where it is read back from this."""
+"""Document around a string in each context; the string needs no quotes if it reads back unchanged."""
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
-"""Texts that people, and other readers of YAML, may take for a number, a time or a date."""
+"""Strings that people and other YAML readers may interpret as a number, a time, or a date."""
 _ESCAPED = re.compile(f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}")
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
 
 def number(value: float) -> str:
-    """Spell a number with at most six decimals, without an exponent if it is of ordinary size."""
+    """Format a number with at most six decimals, and without an exponent unless it is very large or small."""
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be written in a spec")
     return exact(rounded(value))
 
 
 def rounded(value: float) -> float:
-    """Round a number to six decimals; a tiny one to four significant digits, which is finer."""
+    """Round a number to six decimals, or a tiny number to four significant digits, which is finer."""
     if value == 0 or not math.isfinite(value) or abs(value) >= LARGE:
         return value
     return float(f"{value:.3e}" if abs(value) < 10 ** (2 - DIGITS) else f"{value:.{DIGITS}f}")
 
 
 def exact(value: float) -> str:
-    """Spell a number in the shortest text that is read back as the same number."""
+    """Format a number as the shortest text that reads back as the same number."""
     if isinstance(value, int):
         return str(value)
     if not math.isfinite(value):
@@ -70,7 +70,7 @@ def exact(value: float) -> str:
 
 
 def call(text: str) -> str:
-    """Spell a predicate by our name, ``OnTop(cup, desk)``; any other text stays as it is."""
+    """Format a predicate in canonical form, ``OnTop(cup, desk)``; other strings are returned unchanged."""
     match = _CALL.match(text)
     if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
         return text
@@ -79,7 +79,7 @@ def call(text: str) -> str:
 
 
 def scalar(value: Any, where: Where) -> str:
-    """Spell a scalar."""
+    """Format a scalar."""
     match value:
         case None:
             return "null"
@@ -92,7 +92,7 @@ def scalar(value: Any, where: Where) -> str:
 
 @functools.lru_cache(maxsize=8192)
 def string(text: str, where: Where) -> str:
-    """Spell a text on one line: plain if a reader gets the same text back, else in double quotes."""
+    """Format a string on one line: unquoted if it reads back unchanged, else in double quotes."""
     if _is_word(text):
         return text
     closed = where == "block" or text.count("(") == text.count(")")
@@ -102,7 +102,7 @@ def string(text: str, where: Where) -> str:
 
 
 def key_text(key: str) -> str:
-    """Spell a key: plain if it is an unambiguous word."""
+    """Format a key: unquoted if it is an unambiguous word."""
     return key if _is_word(key) else quoted(key)
 
 
@@ -111,13 +111,13 @@ def _is_word(text: str) -> bool:
 
 
 def quoted(text: str) -> str:
-    """Spell a text in double quotes; characters that YAML forbids or takes for line breaks are escaped."""
+    """Format a string in double quotes; characters that YAML forbids or treats as line breaks are escaped."""
     return _ESCAPED.sub(lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
 
 
 @functools.lru_cache(maxsize=1024)
 def literal(text: str) -> tuple[str, ...] | None:
-    """Return head ``|`` and lines of a text of several lines; None if it has only one or cannot be written so."""
+    """Return the header ``|`` and the lines of a multi-line string; None if it has one line or needs another style."""
     if "\n" not in text.rstrip("\n"):
         return None
     lines = tuple(text.removesuffix("\n").split("\n"))
@@ -128,7 +128,7 @@ def literal(text: str) -> tuple[str, ...] | None:
 
 @functools.lru_cache(maxsize=1024)
 def folded(text: str, width: int) -> tuple[str, ...] | None:
-    """Return head ``>-`` and lines of a long text, broken at spaces; None if it cannot be written so."""
+    """Return the header ``>-`` and the lines of a long string, wrapped at spaces; None if it needs another style."""
     if not text.isprintable():
         return None
     lines = tuple(_filled(text.split(" "), width))

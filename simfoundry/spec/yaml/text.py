@@ -1,7 +1,7 @@
-"""Read YAML 1.2 strictly, and remember the position of every value.
+"""Strict YAML 1.2 reader that records the position of every value.
 
-Specs are data: mappings with string keys, sequences, strings, numbers, booleans and null. Tags, merge keys, duplicate
-keys and more than one document are errors. Depth, size and the expansion of aliases are bounded.
+Specs are plain data: mappings with string keys, sequences, strings, numbers, booleans, and null. Tags, merge keys,
+duplicate keys, and multiple documents are errors. Depth, size, and the expansion of aliases are bounded.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.yaml.nodes import EVENTS, Composer, Node, YamlError
 
 MAX_BYTES = 4 * 2**20
-"""Size of a text [bytes]: a scene of 1,000 objects takes 0.14 MiB."""
+"""Largest size of a text [bytes]; a scene of 1,000 objects takes 0.14 MiB."""
 
 UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What may not stand in a YAML text as it is."""
+"""Characters that must be escaped in a YAML text."""
 Path_ = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
 class Document:
-    """A text that was read: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
+    """Parsed text: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
 
     file: str
     text: str
@@ -36,13 +36,13 @@ class Document:
     root: Node
     duplicates: tuple[Diagnostic, ...]
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
-    """The members that it adds to what it extends, by path, with the names of those that are there."""
+    """Members that it adds to its base, by path, with the names of the existing members."""
 
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
-        """Return line and column of the value at ``path`` (or its key), or of the nearest ancestor.
+        """Return the line and column of the value at ``path`` (or its key), or of its nearest ancestor.
 
-        A mapping is pointed at by its key: its own text starts with a key of something else. Parts of ``path`` that the
-        data does not have (the tags of a union) are passed over.
+        For a mapping, the position is that of its key, because its own text starts with the key of its first member.
+        Parts of ``path`` that do not exist in the data (the tags of a union) are skipped.
         """
         key = leaf = (self.root.line, self.root.column)
         for _, key, node in self._walk(path):
@@ -87,7 +87,7 @@ class Document:
 
 
 def read(path: Path) -> Document:
-    """Read a file; raises :class:`YamlError` with a place if the text cannot be read."""
+    """Read a file; raises :class:`YamlError` with a position if the text cannot be read."""
     try:
         if path.exists() and not path.is_file():
             raise YamlError("SF001", "this is not a file")
@@ -105,17 +105,17 @@ def read(path: Path) -> Document:
     except OSError as error:
         if error.errno == errno.ELOOP:
             hint = "let one of the links point to a file, or remove them"
-            raise YamlError("SF001", "the file cannot be read: its links form a ring", hint=hint) from None
+            raise YamlError("SF001", "the file cannot be read: its links form a cycle", hint=hint) from None
         raise YamlError("SF001", f"the file cannot be read: {error.strerror or error}") from None
     return parse(text, str(path))
 
 
 _MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$", r">{7,}(?: |$)"))
-"""Lines of a conflict as git leaves it, in order; a repository may have longer markers than seven characters."""
+"""Marker lines of a git conflict, in order; a repository may use markers longer than seven characters."""
 
 
 def _conflict(text: str) -> int:
-    """Return the line, from 1, in which a conflict of git starts; 0 without one."""
+    """Return the line (from 1) where a git conflict starts; 0 if there is none."""
     start, wanted = 0, 0
     for number, line in enumerate(text.splitlines() if "<<<<<<<" in text else (), 1):
         if _MARKERS[wanted].match(line):
@@ -126,7 +126,7 @@ def _conflict(text: str) -> int:
 
 
 def parse(text: str, file: str = "<text>") -> Document:
-    """Read a text; raises :class:`YamlError` with a place if it cannot be read."""
+    """Read a text; raises :class:`YamlError` with a position if it cannot be read."""
     conflict = _conflict(text)
     if conflict:
         hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
@@ -164,7 +164,7 @@ _SYNTAX = (
     ("unknown escape character", "this escape is not known", "in double quotes a backslash is written twice"),
     ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
 )
-"""What the parser says, and what a person can do with."""
+"""Messages of the parser, and the corresponding message and hint for users."""
 
 
 def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
@@ -177,7 +177,7 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
     for said, message, hint in _SYNTAX:
         if said in problem:
             start = opening.line + 1 if opening is not None else line
-            if not hint and opening is not None:  # the parser noticed at the end of the text what went wrong here
+            if not hint and opening is not None:  # reported at the end of the text, but caused here
                 line, column = start, opening.column + 1
             return YamlError("SF002", message.format(), line, column, hint.format(start=start))
     if "cannot start any token" in problem:

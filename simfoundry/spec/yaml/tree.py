@@ -1,4 +1,4 @@
-"""Documents as trees that keep their comments through formatting, merging and editing."""
+"""Document trees that preserve comments during formatting, merging, and editing."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document, Path_
 
 KIND = "simfoundry"
-"""The key that names the kind of a document."""
+"""Key of the document kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class YamlTree:
-    """A value with the comments around it; each comment is the text from its ``#`` to the end of the line.
+    """Value with the comments around it; each comment is the text from ``#`` to the end of the line.
 
-    ``value`` is a scalar, a mapping of trees or a tuple of trees. ``above`` are the comments before it (before its
-    key), ``beside`` the one at the end of its line, ``end`` those after the last entry of a mapping or list. Of the
-    whole document ``above`` are the comments on top, ``end`` those at the end.
+    ``value`` is a scalar, a mapping of trees, or a tuple of trees. ``above`` contains the comments before it (before
+    its key), ``beside`` the comment at the end of its line, and ``end`` the comments after the last entry of a mapping
+    or list. For a whole document, ``above`` contains the comments at the top and ``end`` those at the end.
     """
 
     value: Any
@@ -32,7 +32,7 @@ class YamlTree:
 
     @property
     def data(self) -> Any:
-        """Plain data: mappings, tuples and scalars, as in :class:`Document`."""
+        """Return the plain data: mappings, tuples, and scalars, as in :class:`Document`."""
         if isinstance(self.value, dict):
             return {key: child.data for key, child in self.value.items()}
         if isinstance(self.value, tuple):
@@ -57,11 +57,11 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Return other plain data with the comments of ``tree``, in the order of ``data``.
+    """Return a tree of new plain data with the comments of ``tree``, in the order of ``data``.
 
-    What remains keeps its comments, what is gone takes them along, and what is new has none. An entry of a mapping
-    remains where its key does, whatever becomes of its value; an item of a list remains where there is an equal one,
-    or a changed one between the same neighbours.
+    Values that remain keep their comments, removed values lose them, and new values have none. An entry of a mapping
+    remains if its key does, even if its value changes. An item of a list remains if there is an equal item, or a
+    changed item between the same neighbours.
     """
     if isinstance(data, dict):
         if not isinstance(tree.value, dict):
@@ -76,9 +76,9 @@ def with_data(tree: YamlTree, data: Any) -> YamlTree:
 
 
 def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, ...]:
-    """Return the items of a list with new data, each with the comments of the item that it was."""
+    """Return the items of a list with new data, each with the comments of the corresponding old item."""
     before, after = [repr(item.data) for item in old], [repr(item) for item in new]
-    source: dict[int, int] = {}  # of each new item
+    source: dict[int, int] = {}  # index of the old item for each new item
     for _, first, last, start, end in difflib.SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
         if last - first == end - start:
             source.update(zip(range(start, end), range(first, last), strict=True))
@@ -92,7 +92,7 @@ def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, .
 def read_tree(document: Document) -> YamlTree:
     """Return the tree of a document (without its bases) with all comments; aliases are written out.
 
-    Raises :class:`SpecError` where a key is written twice: one of the two would be lost.
+    Raises :class:`SpecError` for duplicate keys, because one of the values would be lost.
     """
     if document.duplicates:
         raise SpecError(document.duplicates)

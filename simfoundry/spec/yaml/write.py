@@ -1,4 +1,4 @@
-"""Write YAML in one canonical form: short to read, stable to diff, with comments in place."""
+"""Write YAML in a canonical form that is compact, gives stable diffs, and preserves comments."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
 
 WIDTH = 110
-"""Columns of a line: two documents fit side by side in a diff on a wide screen."""
+"""Line width [columns]: two documents fit side by side in a diff on a wide screen."""
 
 MAX_KEY = 1000
-"""Longer keys need a question mark before them: YAML looks no further for their colon."""
+"""Longest simple key [characters]; YAML requires a question mark before longer keys."""
 NEIGHBOURS = 24
-"""Comments on neighbouring lines are aligned where the lines differ in length by no more than this."""
+"""Largest difference in length [columns] of neighbouring lines whose comments are aligned."""
 
 _BLOCKS = ("objects", "links", "frames")
-"""Sections whose members are written over several lines."""
+"""Sections whose members are written on several lines."""
 
 _PREDICATES = ("relations", "goal", "all", "any", "not")
-"""Keys whose texts are predicates, as ``OnTop(cup, desk)``."""
+"""Keys whose strings are predicates, such as ``OnTop(cup, desk)``."""
 
 _PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
-"""A predicate of more than one thing."""
+"""Predicate with more than one argument."""
 
 Line = tuple[str, str]
-"""A line and the comment beside it, which may be empty."""
+"""Line and the comment beside it, which may be empty."""
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:
-    """Return the canonical text of a document: fields in order, defaults left out, six decimals."""
+    """Return the canonical text of a document: ordered fields, without defaults, and with six decimals."""
     above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
     return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
 
@@ -45,7 +45,7 @@ def to_yaml(spec: Model, comment: str = "") -> str:
 def _rounded(data: Any) -> Any:
     match data:
         case float():
-            number(data)  # raises for what is no number
+            number(data)  # raises for NaN and infinity
             return rounded(data)
         case dict():
             return {key: _rounded(item) for key, item in data.items()}
@@ -57,8 +57,8 @@ def _rounded(data: Any) -> Any:
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     """Return the canonical text of a document with its comments.
 
-    Keys of ``model`` come in its order, other keys after them, and names as they are. Numbers are exact: the text
-    reads back as the data of the tree, but for the spelling of predicates.
+    Keys of ``model`` are written in its order, followed by other keys; names keep their order. Numbers are exact: the
+    text reads back as the data of the tree, except for the spelling of predicates.
     """
     tree = _spelled(tree, False)
     blocks: set[int] = set()
@@ -77,7 +77,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
 def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
     """Return the lines of one entry of a block mapping, indented by ``indent`` columns.
 
-    The comments above it are left out; those beside and inside it are written.
+    Comments above the entry are omitted; comments beside and inside it are written.
     """
     spelled = _spelled(tree, path[-1] in _PREDICATES)
     blocks: set[int] = set()
@@ -88,7 +88,7 @@ def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None
 
 
 def inline_text(data: Any, path: tuple[str, ...], model: type[Model] | None, in_braces: bool) -> str | None:
-    """Return a value as it stands behind its key on one line; None if it needs lines of its own."""
+    """Return the text of a value after its key on one line; None if it needs several lines."""
     tree = _spelled(plain_tree(data), path[-1] in _PREDICATES or path[-2:-1] == ("relations",))
     blocks: set[int] = set()
     needs_lines = _collect_blocks(tree, blocks)
@@ -106,7 +106,7 @@ def _slot_at(path: tuple[str, ...], model: type[Model] | None) -> KeyOrder:
 
 
 def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
-    """Return the tree with canonical predicates."""
+    """Return the tree with predicates in canonical form."""
     value: Any = tree.value
     if isinstance(value, str):
         return replace(tree, value=call(value)) if predicate and call(value) != value else tree
@@ -122,10 +122,10 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 
 
 def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
-    """Collect values that cannot be on one line: they hold a comment, a long text, or a predicate.
+    """Collect values that cannot be written on one line because they contain a comment, a long text, or a predicate.
 
-    Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
-    whether what holds the tree is of that kind because of it.
+    Inside brackets, other YAML readers, including editors, would split ``OnTop(cup, desk)`` at the comma. Return True
+    if the parent of the tree cannot be on one line because of it.
     """
     value = tree.value
     inside = bool(value) and bool(tree.end)
@@ -145,13 +145,13 @@ def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
 
 
 class _Writer:
-    """Writes mappings and lists; ``blocks`` are the trees that cannot be on one line, by identity."""
+    """Writes mappings and lists; ``blocks`` contains the identities of trees that cannot be on one line."""
 
     def __init__(self, blocks: set[int]) -> None:
         self.blocks = blocks
 
     def sections(self, tree: YamlTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
-        """Return the entries of a document, with a blank line before each block."""
+        """Yield the entries of a document, with a blank line before each block."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             written = [*self.entry(key, child, slot.member(key), 0, key)]
@@ -163,7 +163,7 @@ class _Writer:
         yield from _comments(tree.end, 0)
 
     def entries(self, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """Return the entries of a mapping, one below the other."""
+        """Yield the entries of a mapping, one below the other."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             yield from _comments(_above(child), indent)
@@ -171,7 +171,7 @@ class _Writer:
         yield from _comments(tree.end, indent)
 
     def items(self, tree: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
-        """Return the items of a list, one below the other."""
+        """Yield the items of a list, one below the other."""
         for item in tree.value:
             nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
             above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))
@@ -183,7 +183,7 @@ class _Writer:
         yield from _comments(tree.end, indent)
 
     def nested_item(self, item: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
-        """Return an item over several lines, which start behind the dash."""
+        """Yield the lines of a multi-line item, starting after the dash."""
         inside = indent + 2
         mapping = isinstance(item.value, dict)
         first, *lines = self.entries(item, slot, inside, "") if mapping else self.items(item, slot, inside)
@@ -195,7 +195,7 @@ class _Writer:
         yield from lines
 
     def entry(self, key: str, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """Return one key with its value."""
+        """Yield the lines of one key with its value."""
         pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
         if len(key) > MAX_KEY:
@@ -214,7 +214,7 @@ class _Writer:
         yield from self.short(head, tree, slot, indent, beside)
 
     def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
-        """Return a value that is no block: on one line, or a long list or text over several."""
+        """Yield the lines of a value that is not a block: one line, or several for a long list or text."""
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
             return
@@ -228,7 +228,7 @@ class _Writer:
             yield f"{head} {flow}", beside
 
     def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
-        """Return a text on one line, or over several if it has several or is too long."""
+        """Yield the lines of a text: one line, or several if it contains line breaks or is too long."""
         lines = literal(text)
         line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
@@ -240,7 +240,7 @@ class _Writer:
         yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
 
     def is_block(self, tree: YamlTree, slot: KeyOrder, column: int) -> bool:
-        """True if a mapping or list that starts at a column is written over several lines."""
+        """Return True if a mapping or list that starts at a column is written on several lines."""
         if not tree.value:
             return False
         if isinstance(tree.value, tuple):
@@ -248,7 +248,7 @@ class _Writer:
         return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
     def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, indent: int) -> bool:
-        """True if each item of a list has its own line: predicates, and items too long for one line."""
+        """Return True if each item of a list gets its own line: predicates, and items too long for one line."""
         if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
@@ -268,7 +268,7 @@ class _Writer:
 
 
 def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
-    """Return a long list in brackets with as many items a line as fit."""
+    """Yield the lines of a long list in brackets, with as many items per line as fit."""
     line = head
     for k, item in enumerate(items):
         text = item + ("]" if k == len(items) - 1 else ",")
@@ -281,7 +281,7 @@ def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
 
 
 def _above(tree: YamlTree) -> tuple[str, ...]:
-    """Return the comments on the lines above; an empty collection has no lines for its own."""
+    """Return the comments above a value, including those inside an empty collection, which has no lines for them."""
     return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
 
 
@@ -295,7 +295,7 @@ def _spaced(comment: str) -> str:
 
 
 def _joined(lines: list[Line]) -> Iterator[str]:
-    """Return lines with their comments, which are aligned among neighbours of similar length."""
+    """Yield lines with their comments, which are aligned for neighbouring lines of similar length."""
     run: list[Line] = []
     for line in lines:
         if line[1]:

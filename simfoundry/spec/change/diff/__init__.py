@@ -1,1 +1,1 @@
-"""Differences between two documents, as data and in words."""
+"""Differences between two documents, as data and as text."""

@@ -1,9 +1,10 @@
 """Changes between two documents as data: the edits that turn one into the other.
 
-Documents are plain data: mappings with text keys, tuples, scalars. Members of named mappings are matched by name, and
-where one vanishes while a nearly equal one appears, by a rename (:mod:`simfoundry.spec.change.diff.renames`). Lists are
-replaced as a whole, except lists of expressions (``relations``, ``all``, ``any``) and of pairs (``no_contact``), which
-are sets: an expression or a pair is a member that is called like its text. ``1`` and ``1.0`` are the same number.
+Documents are plain data: mappings with string keys, tuples, and scalars. Members of named mappings are matched by
+name. If one member disappears and a nearly equal one appears, the pair is treated as a rename
+(:mod:`simfoundry.spec.change.diff.renames`). Lists are replaced as a whole, except lists of expressions (``relations``,
+``all``, ``any``) and of pairs (``no_contact``), which are compared as sets: each expression or pair is a member whose
+name is its text. ``1`` and ``1.0`` are the same number.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from typing import Any
 from simfoundry.spec.change.diff.renames import Path_, Rename, find_renames, renamed, same
 
 EXPRESSION_LISTS = ("relations", "all", "any")
-"""Keys of lists of expressions; their order means nothing."""
+"""Keys of lists of expressions, which are unordered."""
 
 PAIR_LISTS = ("no_contact",)
-"""Keys of lists of pairs; their order, and that of each pair, mean nothing."""
+"""Keys of lists of pairs; both the lists and the pairs are unordered."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Set:
 
 @dataclass(frozen=True)
 class Add:
-    """Addition of a member ``value`` at ``path``, as the ``position``-th of its mapping (counted from 0)."""
+    """Addition of the member ``value`` at ``path``, at index ``position`` of its mapping (from 0)."""
 
     path: Path_
     value: Any
@@ -59,9 +60,9 @@ Change = Set | Add | Remove | Rename | Reorder
 
 
 def diff(a: Any, b: Any) -> tuple[Change, ...]:
-    """Return the changes that turn ``a`` into ``b``, the order of keys included.
+    """Return the changes that turn ``a`` into ``b``, including changes of key order.
 
-    Renames come first; the paths and old values of all other changes are those after the renames.
+    Renames come first; all other changes use paths and old values as they are after the renames.
     """
     renames = find_renames(a, b)
     return (*renames, *_value(renamed(a, renames), b, ()))
@@ -83,7 +84,7 @@ def members(value: Any, path: Path_) -> dict[str, Any] | None:
 
 
 def expression(item: Any) -> str:
-    """Spell a goal or a pair as one text: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
+    """Format a goal or a pair as one string: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
     match item:
         case str():
             return item
@@ -120,5 +121,5 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 
 
 def _other_kind(a: Any, b: Any) -> bool:
-    """True if two shapes are of different kinds, so that they have no key in common."""
+    """Return True if two shapes are of different kinds and therefore have no key in common."""
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()

@@ -13,19 +13,19 @@ from simfoundry.spec.models.base import Model
 Path_ = tuple[str, ...]
 
 INHERITED = ("density", "friction", "restitution", "color")
-"""What a body has from its material where it does not say it itself."""
+"""Fields that a body takes from its material unless it sets them itself."""
 
 _CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "local_xy")
 
 
 class Verbs(list[str]):
-    """Phrases that follow a name; ``moved`` is true if one of them is a movement."""
+    """Phrases that follow a member's name; ``moved`` is True if one of them describes motion."""
 
     moved = False
 
 
 class Describing:
-    """Context of a description: both documents, the old one with its new names, and the units of their fields."""
+    """Context of a description: both documents (the old one with new names) and the units of their fields."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class Describing:
         self.a, self.b, self.model, self.joint_units, self.verbose = a, b, model, joint_units, verbose
 
     def member(self, path: Path_, old: Any, new: Any) -> tuple[Verbs, list[str]]:
-        """Return verbs and facts for the changes of the member at ``path``."""
+        """Return the verb phrases and facts that describe the changes of the member at ``path``."""
         verbs, facts = Verbs(), list[str]()
         if not isinstance(old, dict) or not isinstance(new, dict):
             return verbs, [] if same(old, new) else [values.pair(path[-1], old, new)]
@@ -57,7 +57,7 @@ class Describing:
         return verbs, facts
 
     def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
-        """Return facts for one field, which the old document has if ``was`` and the new one if ``is_``."""
+        """Return facts about one field; ``was`` and ``is_`` state whether the old and the new document have it."""
         key = path[-1]
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
@@ -92,13 +92,13 @@ class Describing:
             words.append(values.value("", item))
         return ", ".join(words)
 
-    # -- where it is ------------------------------------------------------------------------------------------------
+    # -- position ---------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Describe movement between poses or places; return the keys that this covers."""
+        """Describe motion between poses or places; return the keys that the description covers."""
         if any("place" in side for side in (old, new)):
             self._placed(old, new, verbs)
-        elif path[0] == "joints" and len(path) == 2:  # a joint does not move: its frame is elsewhere
+        elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
             return ()
         elif not same(old.get("pose"), new.get("pose")):
             found = poses.motion(old.get("pose") or {}, new.get("pose") or {})
@@ -150,7 +150,7 @@ class Describing:
             yield from self.field(here, old.get(key), new.get(key), key in old, key in new)
 
     def _has_default(self, path: Path_) -> bool:
-        """True for a member that is 0 if it is not written, as the joint positions of an object are."""
+        """Return True for a member that defaults to 0, such as a joint position of an object."""
         return path[0] == "objects" and path[-2] == "joints"
 
     def _leaf(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> str:
@@ -170,7 +170,7 @@ class Describing:
         return f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, given: bool, document: Mapping[str, Any], unit: str) -> str:
-        """Return a value with its unit; if it is not written, where the value comes from."""
+        """Return a value with its unit or, if the document does not set it, the source of the value."""
         key = path[-1]
         if given:
             return values.with_unit(values.value(key, item), unit)
@@ -192,7 +192,7 @@ class Describing:
         return values.with_unit(values.value(path[-1], item), self._unit(path))
 
     def _users(self, material: str) -> str:
-        """Name the users of a material, as a change of the material changes them."""
+        """List the users of a material, because a change of the material affects them."""
         things = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
         users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
@@ -200,13 +200,13 @@ class Describing:
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Say at which end of its range a joint is closed, and was before."""
+    """Describe at which end of its range a joint is closed, now and before."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
 
 def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
-    """``goal gains Inside(cup, bowl)``, ``relations lose OnTop(cup, desk)``."""
+    """Yield facts such as ``goal gains Inside(cup, bowl)`` and ``relations lose OnTop(cup, desk)``."""
     label, gain, lose = (key, "gain", "lose") if key == "relations" else (key, "gains", "loses")
     if key == "goal":
         before, after = _conjuncts(old), _conjuncts(new)
@@ -221,7 +221,7 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
 
 
 def _conjuncts(goal: Any) -> tuple[str, ...]:
-    """Return the conditions that must hold at once: the members of an ``all``, nested ones included."""
+    """Return the conditions that must all hold: the members of an ``all``, including nested ones."""
     match goal:
         case () | None:
             return ()
@@ -252,13 +252,13 @@ def _angles(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _flat(place: dict[str, Any]) -> dict[str, Any]:
-    """Return a place as a pose on the ground, for comparison with another of the same kind."""
+    """Return a place as a pose in the ground plane, for comparison with another place of the same kind."""
     x, y = place.get("xy") or place.get("local_xy") or (0.0, 0.0)
     return {**place, "xyz": (x, y, 0.0)}
 
 
 def _quantity(old: Any, new: Any) -> bool:
-    """True if one of two mappings is a single value: an estimate, or an angle in degrees."""
+    """Return True if either mapping represents a single value: an estimate, or an angle in degrees."""
     return any(isinstance(side, dict) and ("value" in side or "deg" in side) for side in (old, new))
 
 
@@ -279,12 +279,12 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with ``*`` for names, under which facts about a field are cached."""
+    """Return the path with ``*`` in place of names; it is the cache key of a field's properties."""
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 
 def _label(path: Path_) -> str:
-    """Return the label of a field in a sentence: its path below the member, ``part left color``."""
+    """Return the label of a field in a sentence: its path below the member, such as ``part left color``."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
     for k in range(len(parts) - 1):

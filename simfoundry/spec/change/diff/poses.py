@@ -1,4 +1,4 @@
-"""Describe translations and rotations between poses in any form that a document may use."""
+"""Describe translations and rotations between poses in any form that documents support."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 STILL_M = 5e-7
-"""Positions are written with six decimals: less than this is rounding [m]."""
+"""Smallest reported translation [m]: positions are written with six decimals, so less is rounding."""
 
 STILL_DEG = 5e-4
-"""Less than this is the rounding of a quaternion with six decimals [deg]."""
+"""Smallest reported rotation [deg]: less is rounding of a quaternion with six decimals."""
 
 AXIS_DEG = 1.0
-"""An axis that is closer than this to x, y or z is called so [deg]."""
+"""Largest angle [deg] from x, y or z at which a rotation axis is reported as that axis."""
 
 
 @dataclass(frozen=True)
 class PoseChange:
-    """Motion between two poses in one parent: a ``shift`` [m] and a turn by ``angle`` [deg] about a unit ``axis``."""
+    """Motion between two poses in the same parent frame.
+
+    It consists of a translation ``shift`` [m] and a rotation by ``angle`` [deg] about the unit vector ``axis``.
+    """
 
     shift: Vector
     angle: float
@@ -32,12 +35,12 @@ class PoseChange:
 
     @property
     def moved(self) -> bool:
-        """True if the positions differ by more than rounding."""
+        """Return True if the positions differ by more than rounding."""
         return math.hypot(*self.shift) > STILL_M
 
     @property
     def turned(self) -> bool:
-        """True if the rotations differ by more than rounding."""
+        """Return True if the rotations differ by more than rounding."""
         return self.angle > STILL_DEG
 
 
@@ -59,7 +62,7 @@ def words(found: PoseChange) -> list[str]:
 
 
 def rotation(pose: Mapping[str, Any]) -> Matrix:
-    """Return the rotation matrix of a pose, by rows."""
+    """Return the rotation matrix of a pose, row by row."""
     if pose.get("quat_wxyz") is not None:
         return _of_quaternion(pose["quat_wxyz"])
     if pose.get("look_at") is not None:
@@ -100,7 +103,7 @@ def _of_look_at(eye: Vector, target: Vector) -> Matrix:
 
 
 def _turn(a: Matrix, b: Matrix) -> tuple[float, Vector]:
-    """Return angle [deg] and unit axis, in the parent's axes, of the rotation ``b a^T`` from ``a`` to ``b``."""
+    """Return the angle [deg] and unit axis (in the parent frame) of the rotation ``b a^T`` from ``a`` to ``b``."""
     r = [[sum(b[i][k] * a[j][k] for k in range(3)) for j in range(3)] for i in range(3)]
     odd = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1])  # 2 sin(angle) axis
     sine, cosine = math.hypot(*odd) / 2, (r[0][0] + r[1][1] + r[2][2] - 1) / 2
@@ -109,7 +112,7 @@ def _turn(a: Matrix, b: Matrix) -> tuple[float, Vector]:
         return angle, _unit(odd)
     if cosine > 0:
         return angle, (0.0, 0.0, 1.0)
-    # Half a turn: the symmetric part is 2 axis axis^T - 1, and its largest column the best conditioned.
+    # Rotation by 180 deg: the symmetric part is 2 axis axis^T - 1; its largest column is the best conditioned.
     k = max(range(3), key=lambda i: r[i][i])
     return angle, _unit((r[0][k] + (k == 0), r[1][k] + (k == 1), r[2][k] + (k == 2)))
 
@@ -123,7 +126,7 @@ def _distance(shift: Vector) -> str:
 
 
 def _scale(length: float) -> tuple[float, str, int]:
-    """Return factor from metres, unit and decimals in which a length is easy to read."""
+    """Return the factor from metres, the unit, and the decimals that make a length easy to read."""
     if length >= 0.9995:
         return 1.0, "m", 3
     if length >= 0.00995:
@@ -135,7 +138,7 @@ def _angle(angle: float, axis: Vector) -> str:
     digits = 1 if angle >= 0.05 else 4
     for k, name in enumerate("xyz"):
         if abs(axis[k]) > math.cos(math.radians(AXIS_DEG)):
-            half = angle > 180 - 10**-digits / 2  # both ways round are the same
+            half = angle > 180 - 10**-digits / 2  # both directions are equivalent
             return f"{'-' if axis[k] < 0 and not half else ''}{angle:.{digits}f}° about {name}"
     return f"{angle:.{digits}f}° about {joined([f'{v:.2f}' for v in axis])}"
 

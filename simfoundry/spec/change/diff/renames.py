@@ -1,4 +1,4 @@
-"""Find renamed members of a document, and rename every reference to them."""
+"""Detect renamed members of a document, and rename every reference to them."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ SECTIONS = (
 """Keys of mappings whose members have names."""
 
 ALIKE = 0.6
-"""The share of their values in which a member and its renamed self agree at least."""
+"""Smallest fraction of equal values at which two members are treated as a rename."""
 
 IDENTITY = ("shape", "asset", "mesh", "model")
-"""A member that has another one of these is another thing."""
+"""Keys that identify a member: if one differs, the two members are different objects."""
 
 MAX_PAIRS = 40_000
-"""Where more pairs than this could be renames, only members that are entirely equal are taken for one."""
+"""Largest number of candidate pairs for which similarity is computed; above it, only equal members match."""
 
 REFERENCES = {
     "material": ("materials",),
@@ -55,23 +55,23 @@ REFERENCES = {
     "joint": ("joints",),
     "no_contact": ("objects", "links"),
 }
-"""Keys whose text is a name, or a list of some, and the sections in which it is looked up."""
+"""Keys whose value is a name or a list of names, and the sections in which the names are looked up."""
 
 BESIDE = {"variant": "variants"}
-"""Keys whose text names a member of the mapping beside them."""
+"""Keys whose value names a member of the mapping that contains them."""
 
 _ALLOWED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
-"""The sections of what an entry of ``allow`` may be about, by its name alone."""
+"""Sections in which the name of an ``allow`` entry is looked up."""
 
 _EXPRESSIONS = ("relations", "goal", "all", "any", "not")
-"""Keys of expressions, whose arguments are names of objects or robots."""
+"""Keys of expressions; their arguments are names of objects or robots."""
 
 _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
 
 @dataclass(frozen=True)
 class Rename:
-    """New name of the member ``old`` of the mapping at ``section``, and of every reference to it."""
+    """Rename of the member ``old`` of the mapping at ``section``, and of every reference to it."""
 
     section: Path_
     old: str
@@ -79,13 +79,13 @@ class Rename:
 
 
 def find_renames(a: Any, b: Any) -> list[Rename]:
-    """Return the members of ``a`` that have another name in ``b``, the best match first in each section."""
+    """Return the members of ``a`` that have a different name in ``b``, best match first in each section."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
-        # A name that is mended lets others match whose references now agree, so this is repeated until none is found.
+        # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
         known = len(found)
         spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
-        # Where names are defined comes first: what only refers to them follows.
+        # Sections that define names come first, before those that only refer to them.
         for path, x, y in sorted(_sections(renamed(a, found.values()), b, ()), key=lambda s: len(s[0])):
             for rename in _matches(path, x, y):
                 meaning = (_space(path), rename.old, rename.new)
@@ -97,7 +97,7 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
 
 
 def renamed(data: Any, renames: Iterable[Rename]) -> Any:
-    """Return a copy of ``data`` with the new names of members and of references to them; its mappings are new."""
+    """Return a copy of ``data`` with members and references renamed; all mappings are copied."""
     local: dict[Path_, dict[str, str]] = {}
     spaces: dict[str, dict[str, str]] = {}
     for rename in renames:
@@ -108,7 +108,7 @@ def renamed(data: Any, renames: Iterable[Rename]) -> Any:
 
 
 def same(a: Any, b: Any) -> bool:
-    """True if two values are equal, the order of keys included; ``1`` equals ``1.0`` but not ``true``."""
+    """Return True if two values are equal, including key order; ``1`` equals ``1.0`` but not ``true``."""
     if isinstance(a, dict):
         return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list):
@@ -119,7 +119,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def copied(value: Any) -> Any:
-    """Copy a value so that its mappings are its own."""
+    """Copy a value, including all nested mappings."""
     match value:
         case dict():
             return {key: copied(item) for key, item in value.items()}
@@ -140,7 +140,7 @@ def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, An
 
 
 def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
-    """Match members of ``a`` to members of ``b`` with another name: the most similar pair first, each once."""
+    """Match members of ``a`` to differently named members of ``b``, most similar pair first, each used once."""
     gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
     come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
     if len(gone) * len(come) > MAX_PAIRS:
@@ -160,7 +160,7 @@ def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rena
 
 
 class _Member:
-    """A named member with its values by path."""
+    """Named member with its values by path."""
 
     def __init__(self, name: str, value: dict[str, Any]) -> None:
         self.name, self.value = name, value
@@ -169,7 +169,7 @@ class _Member:
 
 
 def _likeness(old: _Member, new: _Member) -> float:
-    """Return the share of all their values in which two members agree; 0 for different kinds of object."""
+    """Return the fraction of values in which two members agree; 0 for objects of different kinds."""
     common = len(old.leaves & new.leaves)
     if common < ALIKE * max(len(old.leaves), len(new.leaves)) or not _same_identity(old.value, new.value):
         return 0.0
@@ -177,7 +177,7 @@ def _likeness(old: _Member, new: _Member) -> float:
 
 
 def _like(old: _Member, new: _Member) -> float:
-    """Return the similarity of two names, which decides between members that are equally similar."""
+    """Return the similarity of two names; it breaks ties between equally similar members."""
     return difflib.SequenceMatcher(None, old.name, new.name).ratio()
 
 
@@ -201,7 +201,7 @@ def _space(section: Path_) -> str:
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
-    """A value at ``path``, whose parts have their new names already."""
+    """Rename the references in a value; ``path``, its location, already uses the new names."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
         if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
@@ -223,18 +223,18 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
 
 
 def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
-    """Rename the members in a dotted path; a name alone is looked up in ``spaces``."""
+    """Rename the members in a dotted path; a single name is looked up in ``spaces``."""
     parts = text.split(".")
     if len(parts) == 1:
         return _name(text, _ALLOWED, spaces)
     for k in range(1, len(parts)):
-        name, again, number = parts[k].partition(" #")  # a second conflict at one path has a number
+        name, again, number = parts[k].partition(" #")  # further conflicts at the same path are numbered
         parts[k] = local.get(tuple(parts[:k]), {}).get(name, name) + again + number
     return ".".join(parts)
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """Return the new names of the keys of a mapping, without those that would make two keys equal."""
+    """Return the new names of the keys of a mapping, except renames that would make two keys equal."""
     kept = {key: names[key] for key in mapping if key in names} if names else {}
     while kept:
         count = Counter(kept.get(key, key) for key in mapping)

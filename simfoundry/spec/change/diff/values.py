@@ -14,17 +14,17 @@ from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.write import number
 
 LONGEST = 48
-"""Characters of a text that are shown, so that two of them fit on a line of changes."""
+"""Longest text shown [characters]; two of them fit on one line of changes."""
 
 FEW = 4
-"""Longest list of numbers that is written out: a quaternion."""
+"""Length of the longest list of numbers that is written out: a quaternion."""
 
 FREE_TEXTS = ("description", "instruction", "note")
-"""Fields that hold sentences."""
+"""Fields that contain prose."""
 
 _UNIT = re.compile(r"\[([^\]]+)\]")
 _TIMES = ("size", "grid", "box")
-"""Lists that are read as ``a × b``."""
+"""Lists that are formatted as ``a × b``."""
 
 
 def joined(items: Iterable[str]) -> str:
@@ -45,7 +45,7 @@ def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4096)
 def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
-    """Return the default of a field if that is a plain value, else None."""
+    """Return the default of a field if it is a plain value, else None."""
     for owner in models_at(model, path[:-1]) if model is not None else ():
         info = owner.model_fields.get(path[-1])
         if info is not None and info.default is not PydanticUndefined and not isinstance(info.default, Model | dict):
@@ -54,7 +54,7 @@ def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
 
 
 def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
-    """Describe a change as ``0.20 → 0.31 kg``: both values in the same form, the unit once."""
+    """Describe a change as ``0.20 → 0.31 kg``: both values in the same format, with the unit only once."""
     if _is_number(old) and _is_number(new):
         left, right = _same_digits(old, new)
     else:
@@ -65,7 +65,7 @@ def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
 
 
 def value(key: str, item: Any) -> str:
-    """Describe a value; ``key`` is the key that it stands at."""
+    """Describe the value ``item`` of ``key``."""
     match item:
         case None:
             return "none"
@@ -85,7 +85,7 @@ def value(key: str, item: Any) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Put a unit behind a number, before anything in brackets."""
+    """Insert a unit after a number and before anything in brackets."""
     if not unit or text.endswith("°") or not text or not (text[0].isdigit() or text[0] in "-.("):
         return text
     plain, bracket, rest = text.partition(" (")
@@ -122,7 +122,7 @@ def place(item: dict[str, Any]) -> str:
 
 
 def shortened(text: str) -> str:
-    """Shorten a text to fit into a line."""
+    """Shorten a text so that it fits on a line."""
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 

@@ -1,4 +1,4 @@
-"""Describe changes in the words of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
+"""Describe changes in terms of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from simfoundry.spec.change.diff.renames import Rename, renamed, same
 from simfoundry.spec.models.base import Model
 
 WIDTH = 100
-"""Columns of a line of changes; a member with more has each change on its own line."""
+"""Width of a line of changes [columns]; if a member needs more, each change gets its own line."""
 
 _NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
-"""Sections whose members are shown one by one, in this order; what else a document says comes between."""
+"""Sections whose members are shown one by one, in this order; other changes come in between."""
 
 _RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
 _LAST = {"cameras": 8, "lights": 9, "materials": 10}
@@ -27,9 +27,9 @@ _MARKS = ("moved", "added", "removed", "renamed", "changed")
 class MemberChange:
     """All changes of one member.
 
-    ``section`` and ``name`` say which it is (``name`` is empty for what the document says of itself), ``was`` what it
-    was called before; ``marks`` are among moved, added, removed, renamed, changed; ``verbs`` follow its name directly
-    (``moved 3 cm``), ``facts`` after a colon (``mass 0.20 → 0.31 kg``).
+    ``section`` and ``name`` identify the member (``name`` is empty for the document itself), and ``was`` is its former
+    name. ``marks`` are among moved, added, removed, renamed, and changed. ``verbs`` follow the name directly (``moved 3
+    cm``), ``facts`` follow after a colon (``mass 0.20 → 0.31 kg``).
     """
 
     section: str
@@ -41,13 +41,13 @@ class MemberChange:
 
     @property
     def subject(self) -> str:
-        """Name of the member in a sentence: ``cup``, ``camera left``."""
+        """Return the name of the member in a sentence: ``cup``, ``camera left``."""
         kind = self.section.removesuffix("s")
         name = self.was or self.name
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
-        """Return one line if the changes fit, else the facts one by one, indented."""
+        """Return one line if the changes fit, else one indented line for each fact."""
         facts = [_single(fact) for fact in self.facts]
         if not self.name:
             return ("; ".join(facts),)
@@ -68,9 +68,9 @@ def describe(
 ) -> tuple[MemberChange, ...]:
     """Describe the changes between the plain data of two documents, member by member.
 
-    ``model`` knows the units of the fields, ``joint_units`` those of the joints of objects (by object and joint, as
-    named in ``b``). What means the same and is only written otherwise, and another order, are said if ``verbose``.
-    ``changes`` are those of :func:`diff`, if they are known already.
+    ``model`` provides the units of the fields, and ``joint_units`` the units of object joints (by object and joint name
+    in ``b``). With ``verbose``, changes of notation without a change of meaning and changes of order are reported as
+    well. ``changes`` are the changes from :func:`diff`, if they have already been computed.
     """
     a, b = (side if isinstance(side, dict) else {} for side in (a, b))
     renames = [c for c in (diff(a, b) if changes is None else changes) if isinstance(c, Rename)]
@@ -107,7 +107,7 @@ def summary(entries: Iterable[MemberChange]) -> str:
 
 
 def _single(sentence: str) -> str:
-    """Put a sentence on one line, whatever texts it quotes."""
+    """Return a sentence on a single line, even if it quotes multi-line text."""
     return " ".join(sentence.split())
 
 
@@ -126,7 +126,7 @@ def _given(document: Mapping[str, Any], key: str) -> bool:
 def _members(
     words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
 ) -> Iterable[MemberChange]:
-    """Yield the changes of each member of a section: the old document's in their order, then those added."""
+    """Yield the changes of each member of a section: members of the old document in order, then added members."""
     for name in dict.fromkeys((*old, *new)):
         before = was.get((section, name), "")
         if name not in new:
@@ -148,7 +148,7 @@ def _members(
 
 
 def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:
-    """Yield renames outside the named sections: parts of links, objects that a task only names."""
+    """Yield renames outside the named sections, such as parts of links or objects that a task refers to."""
     for r in renames:
         if len(r.section) > 1 or r.section[0] not in _NAMED:
             kind = r.section[-1].removesuffix("s")

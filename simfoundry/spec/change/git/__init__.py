@@ -1,1 +1,1 @@
-"""Documents as git keeps them: revisions, history, and git's own diff driver."""
+"""Git support: documents at revisions, their history, and an external diff driver."""

@@ -13,12 +13,12 @@ from simfoundry.spec.change.git.revisions import commit, differing, export, file
 
 
 class ArgumentError(SimfoundryError):
-    """Arguments that do not name two states to compare."""
+    """Error for arguments that do not specify two states to compare."""
 
 
 @dataclass(frozen=True)
 class DocumentState:
-    """State of a document: the file ``path``, or ``path`` at a ``commit`` of the repository at ``root``."""
+    """State of a document: the file ``path``, or ``path`` at ``commit`` in the repository at ``root``."""
 
     path: str
     label: str
@@ -37,7 +37,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Span:
-    """Range from one revision to another, or (``new`` empty) to the working tree, as the person wrote it."""
+    """Range from one revision to another, or to the working tree if ``new`` is empty, as the user wrote it."""
 
     old: str
     new: str
@@ -60,7 +60,7 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
 
 
 def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Return the commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
+    """Yield the commits that changed a document, given ``FILE``, ``REVISION FILE`` or ``A..B FILE``."""
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
         raise ArgumentError("give one document, perhaps behind a revision or a range: main..feature a.scene.yaml")
@@ -74,7 +74,7 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
 
 
 def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentComparison:
-    """Read both states and compare them; revisions are written below ``folder``, which must be empty."""
+    """Read and compare both states; revisions are written to ``folder``, which must be empty."""
     old, new = (_open(source, folder / k) for source, k in ((pair.old, "old"), (pair.new, "new")))
     if old is None and new is None:
         label = (pair.new or pair.old or DocumentState("", pair.name)).label
@@ -94,7 +94,7 @@ def _open(source: DocumentState | None, folder: Path) -> Side | None:
 
 
 def _is_state(argument: str) -> bool:
-    """True if an argument by itself names one state of one document."""
+    """Return True if an argument by itself specifies one state of one document."""
     return Path(argument).is_file() or _is_rev_path(argument)
 
 
@@ -104,7 +104,7 @@ def _is_rev_path(argument: str) -> bool:
 
 
 def _is_file(argument: str) -> bool:
-    """True if an argument is an existing path, or is named like a document that no longer exists."""
+    """Return True if an argument is an existing path or has the name of a document that no longer exists."""
     return Path(argument).exists() or (argument.endswith(".yaml") and ":" not in argument)
 
 
@@ -142,9 +142,9 @@ def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
 
 
 def _inside(path: Path) -> tuple[Path, str]:
-    """Return the repository of a file or folder, and its path there."""
+    """Return the repository of a file or folder, and its path in the repository."""
     folder = path if path.is_dir() else path.parent
-    while not folder.is_dir():  # a folder that a later revision no longer has
+    while not folder.is_dir():  # the folder may have been deleted in a later revision
         folder = folder.parent
     root = repository(folder)
     try:

@@ -1,4 +1,4 @@
-"""Git's external diff driver: one document before and after, without ever failing."""
+"""External diff driver for git: compares two versions of one document and never fails."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.yaml.text import parse
 
 NOTHING = "/dev/null"
-"""What git passes for a file that is not there."""
+"""Argument that git passes for a missing file."""
 
 
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
-    """Answer git's ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
+    """Return the output for the arguments ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
 
-    ``top`` is the top folder of the working tree. A document that extends another is compared whole where it is sure
-    what that said on both sides, and else by its own fields. What cannot be compared is shown as a plain diff.
+    ``top`` is the top folder of the working tree. A document that extends another is compared as a whole if its base is
+    known on both sides, and otherwise by its own fields. Documents that cannot be compared are shown as a plain diff.
     """
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
@@ -40,7 +40,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
 
 
 def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
-    """Return one side; None if git says that there is none."""
+    """Return one side; None if git reports that it does not exist."""
     if file == NOTHING:
         return None
     known = id_ if id_.strip("0.") else ""
@@ -48,7 +48,7 @@ def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
 
 
 def _content(file: Path) -> bytes:
-    """Return the content of a file, or the target of a link, as git stores it."""
+    """Return the content of a file, or the target of a symbolic link, as git stores it."""
     try:
         return str(file.readlink()).encode() if file.is_symlink() else file.read_bytes()
     except OSError:
@@ -56,7 +56,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides; None if one is unsound or anything else fails, as `git diff` must go on."""
+    """Compare both sides; None if one is invalid or anything else fails, because `git diff` must continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -69,7 +69,7 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
 
 
 def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
-    """Compare both sides with the documents that they extend; None if those are not known."""
+    """Compare both sides joined with the documents that they extend; None if those are unknown."""
     sides = dict[str, Side | None]()
     for name, blob in (("old", old), ("new", new)):
         read = read_beside(top, blob) if blob is not None else None
@@ -80,11 +80,11 @@ def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path)
     return compare((new or old or Blob("", b"")).path, sides["old"], sides["new"], files=False)
 
 
-# -- documents of which it is not known what they extend ------------------------------------------------------------
+# -- documents whose base is unknown --------------------------------------------------------------------------------
 
 
 def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
-    """Compare the text of a document itself; raises :class:`ValueError` if that is not meaningful."""
+    """Compare only a document's own fields; raises :class:`ValueError` if that is not meaningful."""
     present = [blob for blob in (old, new) if blob is not None]
     bases = [extended(blob.path, blob.content) for blob in present]
     data = [parse(blob.content.decode("utf-8")).data for blob in present]
@@ -102,7 +102,7 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
 
 
 def _leaves(data: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield every value that is not a mapping with entries, with its path."""
+    """Yield every value that is not a non-empty mapping, with its path."""
     if isinstance(data, dict) and data:
         for key, item in data.items():
             yield from _leaves(item, (*path, key))

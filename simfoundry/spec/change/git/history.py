@@ -1,4 +1,4 @@
-"""History of a document: commits that changed it, or a file that it extends or refers to."""
+"""History of a document: commits that changed it or a file that it extends or refers to."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from simfoundry.spec.change.compare import DocumentComparison, Side, compare, si
 from simfoundry.spec.change.git.revisions import Read, export, files_of, git, references, renamed_from
 
 _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
-"""What is asked of git about a commit: its name, its parents, date, author and subject."""
+"""Format of a commit for `git log`: hash, parents, date, author, and subject."""
 
 
 @dataclass(frozen=True)
 class Commit:
-    """A commit by its full name; ``date`` in ISO 8601. It is compared with its first parent."""
+    """Commit with its full hash; ``date`` is in ISO 8601. It is compared with its first parent."""
 
     id: str
     parents: tuple[str, ...]
@@ -34,11 +34,11 @@ class HistoryEntry:
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed the document ``path`` of the repository at ``root``, the latest first.
+    """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
 
-    ``revisions`` are as for `git rev-list`: commits to start from, and with ``^`` those at which to stop. Each commit
-    is compared with its first parent, both with what they extended at that time; one that merges counts only where it
-    differs from all of its parents. A document is followed to its former names.
+    ``revisions`` are arguments of `git rev-list`: commits to start from, and commits with ``^`` at which to stop. Each
+    commit is compared with its first parent, each joined with the documents that it extended at that time. A merge
+    commit counts only if it differs from all of its parents. The history follows renames of the document.
     """
     names, commits = _trace(root, revisions, path)
     for commit in commits:
@@ -51,7 +51,7 @@ def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = Fal
 
 
 def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:
-    """Read the document under the first of its names that a commit has."""
+    """Read the document under the first of its names that exists in a commit."""
     with files_of(root, revision) as read:
         for name in names:
             found = export(read, name, folder)
@@ -61,7 +61,7 @@ def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side
 
 
 def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
-    """Return the names that a document had, and every commit that changed it or a file that it refers to."""
+    """Return all names of a document, and every commit that changed it or a file that it refers to."""
     names, paths, read_already = [path], {path}, set[str]()
     while True:
         commits = list(_listed(root, revisions, sorted(paths)))
@@ -82,17 +82,17 @@ def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], 
 
 
 def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
-    """Return the commits that change one of the paths, the latest first."""
+    """Yield the commits that change one of the paths, latest first."""
     options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
     found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
     for line in found.decode(errors="replace").splitlines():
-        if "\0" in line:  # the others are headers
+        if "\0" in line:  # other lines are headers
             id_, parents, date, author, subject = line.split("\0", 4)
             yield Commit(id_, tuple(parents.split()), date, author, subject)
 
 
 def _closure(read: Read, path: str) -> set[str]:
-    """Return the files that a document refers to, directly or through other documents, itself included."""
+    """Return the document and all files that it refers to, directly or through other documents."""
     todo, seen = [path], {path}
     while todo:
         name = todo.pop()
@@ -104,7 +104,7 @@ def _closure(read: Read, path: str) -> set[str]:
 
 
 def _former_name(root: Path, commit: Commit, path: str) -> str | None:
-    """Return the name of a document before a commit that named it ``path``."""
+    """Return the name of a document before the commit that renamed it to ``path``."""
     for parent in commit.parents[:1]:
         with files_of(root, parent) as read:
             if read(path) is None:

@@ -1,7 +1,7 @@
-"""Find the documents beside a blob: git names no revision, so they are used only if they are certain.
+"""Find the documents that a blob refers to, although git does not pass the revision to a diff driver.
 
-A diff driver gets two blobs. Each may belong to any commit that has it at its path, to the index, or to the working
-tree. What a document extends counts as known if it is the same in all of them.
+A diff driver gets two blobs. Each may belong to any commit that contains it at its path, to the index, or to the
+working tree. The base of a document counts as known only if it is the same in all of them.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from pathlib import Path
 from simfoundry.spec.change.git.revisions import Read, document_references, extended
 
 LOOKUP_S = 2.0
-"""Longest time [s] that git may take to find where a blob lay: `git log -p` asks for every document of every commit."""
+"""Time limit [s] for the search for one blob: `git log -p` starts one for every document of every commit."""
 
 MAX_STATES = 5000
-"""Commits that changed the documents, beyond which the search is given up: each takes a look-up for every document."""
+"""Largest number of commits to search; each needs a look-up for every document."""
 
 Row = tuple[str | None, ...]
-"""The blobs of some paths in one state of the repository."""
+"""Blobs of some paths in one state of the repository."""
 
 
 class _UnknownError(Exception):
-    """The neighbours of a blob cannot be determined, or not in time."""
+    """Error if the documents beside a blob cannot be determined, or not within the time limit."""
 
 
 @dataclass(frozen=True)
 class Blob:
-    """A document as git hands it over: ``path`` in the repository, its content, and its blob (empty: none).
+    """Document as git passes it: ``path`` in the repository, content, and blob hash (empty if there is none).
 
-    ``in_worktree`` says whether the content was read from the working tree.
+    ``in_worktree`` is True if the content was read from the working tree.
     """
 
     path: str
@@ -42,9 +42,9 @@ class Blob:
 
 
 def read_beside(top: Path, blob: Blob) -> Read | None:
-    """Return a reader of the documents beside a blob in the repository at ``top``; None if its base is uncertain.
+    """Return a reader of the documents beside a blob in the repository at ``top``; None if its base is ambiguous.
 
-    Other documents that it refers to are read where they are sure, and are missing where they are not.
+    Other documents that it refers to can be read only if they are unambiguous; the reader reports the rest as missing.
     """
     if blob.in_worktree and not blob.id:
         return _only(blob, lambda name: _in_worktree(top, name))
@@ -67,7 +67,7 @@ def _in_worktree(top: Path, name: str) -> bytes | None:
 
 @dataclass
 class _Lookup:
-    """One search; ``deadline`` on the monotonic clock [s]."""
+    """State of one search; ``deadline`` is in seconds of the monotonic clock."""
 
     top: Path
     blob: Blob
@@ -79,7 +79,7 @@ class _Lookup:
         self.chain = [self.blob.path]
 
     def read(self) -> Read:
-        """Return the documents by path, once the search finds no further ones."""
+        """Return a reader of the documents after searching until no further ones are found."""
         texts = {self.blob.path: self.blob.content}
         while True:
             ids = self._sure([*self.chain, *self.others])
@@ -102,7 +102,7 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """Return the blob of each path that is the same in all states with ours; raises if the chain is ambiguous."""
+        """Return the blob of each path that is the same in all states with ours; raises if the base is ambiguous."""
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:
             raise _UnknownError
@@ -115,7 +115,7 @@ class _Lookup:
         return found
 
     def _rows(self, paths: list[str]) -> set[Row]:
-        """Return the blobs of the paths in every commit that changes one, in the index, and perhaps on disk."""
+        """Return the blobs of the paths in every commit that changes one, in the index, and possibly on disk."""
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()

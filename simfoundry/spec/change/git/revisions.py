@@ -1,4 +1,4 @@
-"""Read documents of a git revision, with the files that they refer to."""
+"""Read documents of a git revision and the files that they refer to."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
 
 Read = Callable[[str], bytes | None]
-"""The content of a file by its path in the repository (with ``/``); None where there is none."""
+"""Function that returns the content of a file, given its path in the repository (with ``/``); None if missing."""
 
 MAX_FILES = 10_000
-"""No document refers to more files than this: with their textures, ten for each of a thousand objects."""
+"""Largest number of files for one document: ten, including textures, for each of a thousand objects."""
 
 _NAMED = {
     ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
     ".mtl": re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
 }
-"""Lines of meshes and materials that name other files, perhaps several, perhaps behind options."""
+"""Lines of mesh and material files that name one or more files, possibly after options."""
 
 
 class GitError(SimfoundryError):
-    """A failure of git, in its own words."""
+    """Failure of git, with git's own message."""
 
 
 @dataclass(frozen=True)
 class Renamed:
-    """A document that differs: its path in the old and in the new revision, None if it is absent."""
+    """Document that differs: its path in the old and the new revision, each None if it is absent."""
 
     old: str | None
     new: str | None
@@ -66,7 +66,7 @@ def repository(folder: Path) -> Path:
 
 
 def commit(root: Path, revision: str) -> str:
-    """Resolve a ``revision`` (``HEAD~1``, a branch, a tag) to the full name of a commit."""
+    """Resolve a ``revision`` (``HEAD~1``, a branch, a tag) to a full commit hash."""
     if not revision.startswith("-") and "\0" not in revision:
         try:
             found = git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
@@ -82,7 +82,7 @@ def merge_base(root: Path, a: str, b: str) -> str:
 
 
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
-    """Return documents below a folder that differ between two commits, or a commit and the working tree."""
+    """Return the documents below a folder that differ between two commits, or a commit and the working tree."""
     found = []
     for pair in _renames(root, *([old] if new is None else [old, new])):
         names = [name for name in (pair.old, pair.new) if name is not None]
@@ -92,7 +92,7 @@ def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Re
 
 
 def renamed_from(root: Path, old: str, new: str, path: str) -> str | None:
-    """Return the name in an older commit of the file ``path``; None if it was not there."""
+    """Return the name of the file ``path`` in an older commit; None if it did not exist."""
     return next((pair.old for pair in _renames(root, old, new) if pair.new == path), None)
 
 
@@ -110,7 +110,7 @@ def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
 
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
-    """Yield a reader of files of a commit; one process serves all of them."""
+    """Yield a reader for the files of a commit; a single git process serves all reads."""
     process = subprocess.Popen(
         ["git", "cat-file", "--batch"],
         cwd=root,
@@ -137,9 +137,10 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
 
 
 def export(read: Read, path: str, folder: Path) -> Path | None:
-    """Write a document and all files that it refers to below ``folder``, as they lie in the repository.
+    """Write a document and all files that it refers to below ``folder``, with their paths in the repository.
 
-    Returns where the document is, or None where there is none. Raises :class:`GitError` where it refers to too much.
+    Returns the path of the document, or None if it does not exist. Raises :class:`GitError` if it refers to too many
+    files.
     """
     todo, seen, written = [path], {path}, 0
     while todo:
@@ -164,7 +165,7 @@ def document_references(name: str, data: bytes) -> list[str]:
 
 
 def extended(name: str, data: bytes) -> str | None:
-    """Return the path in the repository of the document that ``name`` extends, None without one."""
+    """Return the path in the repository of the document that ``name`` extends; None if it extends none."""
     try:
         written = parse(data.decode("utf-8")).data
     except (YamlError, UnicodeDecodeError):
@@ -174,7 +175,7 @@ def extended(name: str, data: bytes) -> str | None:
 
 
 def references(name: str, data: bytes) -> Iterator[str]:
-    """Yield the paths in the repository that the file ``name`` may refer to; none that leave the repository."""
+    """Yield the paths that the file ``name`` may refer to, excluding paths outside the repository."""
     folder = posixpath.dirname(name)
     for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
         path = posixpath.normpath(posixpath.join(folder, written))
@@ -183,11 +184,11 @@ def references(name: str, data: bytes) -> Iterator[str]:
 
 
 def _file_names(kind: str, data: bytes) -> Iterator[str]:
-    """Yield every text in a file that may name another file."""
+    """Yield every string in a file that may be the name of another file."""
     if kind == ".yaml":
         try:
             document = parse(data.decode("utf-8"))
-        except (YamlError, UnicodeDecodeError):  # it will be reported when it is read
+        except (YamlError, UnicodeDecodeError):  # reported when the file is read
             return
         yield from (text for text in _texts(document.data) if posixpath.splitext(text)[1])
     elif kind in _NAMED:

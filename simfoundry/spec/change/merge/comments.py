@@ -1,4 +1,4 @@
-"""Merge the comments around a value: both sides' comments stay, and never cause a conflict."""
+"""Merge the comments around a value; comments of both sides are kept and never cause a conflict."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _NONE = YamlTree(None)
 
 
 def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
-    """Return ``tree`` with the comments directly at ``ours`` and ``theirs``; the side that changed a comment wins."""
+    """Return ``tree`` with the top-level comments of ``ours`` and ``theirs``; the side that changed a comment wins."""
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
     end = _lines(base.end, ours.end, theirs.end)
@@ -24,7 +24,7 @@ def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: Yam
 
 
 def united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
-    """Return ``ours``, which equals ``theirs``, with the comments of both at every level."""
+    """Return ``ours``, whose data equals ``theirs``, with the comments of both at every level."""
     value = ours.value
     if isinstance(value, dict):
         value = {key: _united(base, child, theirs, key) for key, child in value.items()}
@@ -39,7 +39,7 @@ def _united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree, part: str |
 
 
 def rescued(tree: YamlTree, base: YamlTree | None, other: YamlTree) -> YamlTree:
-    """Return ``tree`` with those comments inside ``other`` that would be lost when ``tree`` replaces it."""
+    """Return ``tree`` plus the comments inside ``other`` that would otherwise be lost when ``tree`` replaces it."""
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
     new = tuple(text for child in _children(other) for _, text in child.comments() if text not in known)
     return replace(tree, above=(*tree.above, *new)) if new else tree

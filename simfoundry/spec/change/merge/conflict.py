@@ -1,4 +1,4 @@
-"""Merge conflicts, and their record in a document."""
+"""Merge conflicts and how they are recorded in a document."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Path_ = tuple[str, ...]
 
 
 class Absent(Enum):
-    """Marker of a value that a side does not have; ``null`` is a value."""
+    """Marker for a value that is missing on a side; ``null`` counts as a value."""
 
     ABSENT = "absent"
 
@@ -23,16 +23,16 @@ ABSENT = Absent.ABSENT
 _PART = re.compile(r'"(?:[^"\\]|\\.)*"|[^."]+')
 _AGAIN = re.compile(r" #[0-9]+\Z")
 _SHOWN = 60
-"""Characters of a value in a message: both sides fit into 160 columns with their path."""
+"""Longest value in a message [characters]; both sides and their path fit into 160 columns."""
 
 
 @dataclass(frozen=True)
 class MergeConflict:
     """Conflicting edits of the value at ``path``: plain data, or :data:`ABSENT`.
 
-    Where the value is a mapping whose order means something, the three may be lists of its keys: only their order is in
-    doubt. Where the three are names, and ``path`` was a member of ``base``'s name, both sides renamed it. The
-    ``comment`` that theirs has beside its value waits beside the entry.
+    If the value is an ordered mapping, the three values may be lists of its keys, and only their order is in conflict.
+    If the three values are names and ``path`` is the member named ``base``, both sides renamed it. The ``comment`` that
+    theirs has beside its value is kept beside the entry.
     """
 
     path: Path_
@@ -42,28 +42,28 @@ class MergeConflict:
     comment: str = ""
 
     def record(self) -> dict[str, Any]:
-        """Return the entry for ``conflicts``, without absent values."""
+        """Return the entry of ``conflicts``, without absent values."""
         sides = {"base": self.base, "ours": self.ours, "theirs": self.theirs}
         return {name: value for name, value in sides.items() if value is not ABSENT}
 
     def __str__(self) -> str:
-        """``objects.cup.mass: ours 0.25, theirs 0.31 (was 0.2)``."""
+        """Return a summary such as ``objects.cup.mass: ours 0.25, theirs 0.31 (was 0.2)``."""
         was = "new" if self.base is ABSENT else f"was {shown(self.base)}"
         return f"{dotted(self.path)}: ours {shown(self.ours)}, theirs {shown(self.theirs)} ({was})"
 
 
 def dotted(path: Path_) -> str:
-    """Spell a path as a key of ``conflicts``; a part with a dot or a quote is in double quotes."""
+    """Format a path as a key of ``conflicts``; parts with a dot or a quote are put in double quotes."""
     return ".".join(json.dumps(p, ensure_ascii=False) if not p or "." in p or '"' in p else p for p in path)
 
 
 def parts(text: str) -> Path_:
-    """Return the path that a key of ``conflicts`` spells."""
+    """Parse a key of ``conflicts`` into a path."""
     return tuple(_parts(_AGAIN.sub("", text)))
 
 
 def numbered(path: str, taken: dict[str, Any]) -> str:
-    """Return a free key for an entry at ``path``, as an older conflict may still be open there."""
+    """Return an unused key for an entry at ``path``, because an older conflict may still be open there."""
     count = 2
     key = path
     while key in taken:
@@ -83,5 +83,5 @@ def _parts(text: str) -> Iterator[str]:
     for part in _PART.findall(text):
         try:
             yield json.loads(part) if part.startswith('"') else part
-        except ValueError:  # quotes that a person wrote
+        except ValueError:  # quotes edited by hand
             yield part

@@ -1,4 +1,4 @@
-"""Compare values of documents by meaning; lists of conditions and of pairs are sets."""
+"""Compare values of documents by meaning; lists of conditions and of pairs are treated as sets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _JOINED = ("all", "any")
 
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
-    """True if lists at ``path`` are sets of conditions or of pairs."""
+    """Return True if lists at ``path`` are sets of conditions or of pairs."""
     if not path or path[-1] not in (*EXPRESSION_LISTS, *PAIR_LISTS):
         return False
     is_item = _is_pair if path[-1] in PAIR_LISTS else _is_condition
@@ -22,9 +22,9 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
 
 
 def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
-    """Return the items of a list by their meaning; a changed `all` or `any` gets the name of the one in ``base``.
+    """Return the items of a list, keyed by meaning; a changed `all` or `any` gets the key of its version in ``base``.
 
-    Equal items are told apart by a number.
+    The keys of equal items are numbered.
     """
     names = _numbered([spelled(item.data) for item in items])
     if base is not None:
@@ -40,7 +40,7 @@ def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None
 
 
 def spelled(condition: Any) -> str:
-    """Spell a condition or a pair in one way, whatever its spacing and order."""
+    """Return the normalized text of a condition or a pair, independent of spacing and order."""
     return expression(_spelled(condition))
 
 
@@ -80,7 +80,7 @@ def _numbered(texts: list[str]) -> list[str]:
 
 
 def _kind(item: YamlTree) -> str:
-    """Return ``all`` or ``any`` for an item that combines others, else an empty text."""
+    """Return ``all`` or ``any`` for an item that combines other conditions, else an empty string."""
     value = item.value
     key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""
     return key if key in _JOINED else ""
@@ -91,9 +91,9 @@ _CONDITIONS = ("goal", "not")
 
 
 def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
-    """True if two values at ``path`` mean the same; the order of keys and conditions does not matter.
+    """Return True if two values at ``path`` have the same meaning; the order of keys and conditions is ignored.
 
-    ``1`` is ``1.0`` but not ``true``.
+    ``1`` equals ``1.0`` but not ``true``.
     """
     if a is None or b is None:
         return a is b
@@ -114,7 +114,7 @@ def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
 
 
 def identical(a: YamlTree, b: YamlTree) -> bool:
-    """True if two trees are equal, with the same comments in the same order."""
+    """Return True if two trees are equal and have the same comments in the same order."""
     if a is b:
         return True
     if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):

@@ -16,13 +16,13 @@ Members = Mapping[str, YamlTree]
 Sides = tuple[Members, Members]
 
 LED = (("type", ("limits", "limits_deg")),)
-"""A key, and others that mean something with its value alone."""
+"""Leading keys and the keys that depend on their value."""
 
 _RIVALS = frozenset(chain.from_iterable(EXCLUSIVE))
 
 
 def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
-    """Return the mutually exclusive keys of the mapping at ``path`` that only the two sides together have."""
+    """Return the mutually exclusive keys at ``path`` that are present only because both sides were combined."""
     rivals = _RIVALS & merged.keys()
     found = set[str]()
     for group in EXCLUSIVE if len(rivals) > 1 else ():
@@ -32,7 +32,7 @@ def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Member
 
 
 def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
-    """Return the keys at ``path`` where one side changed a leading key and the other a key that depends on it."""
+    """Return the keys at ``path`` for which one side changed a leading key and the other a dependent key."""
     found = set[str]()
     for lead, led in LED:
         keys = (lead, *led)
@@ -47,14 +47,14 @@ def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) ->
 
 
 def rivals_at(model: type[Model] | None, path: Path_) -> set[str]:
-    """Return the keys that must be decided together with the last one of ``path``."""
+    """Return the keys that must be resolved together with the last key of ``path``."""
     groups = [*EXCLUSIVE, *((lead, *led) for lead, led in LED)]
     found = set(chain.from_iterable(group for group in groups if path[-1] in group)) - {path[-1]}
     return found if found and model is not None and _holds_fields(model, path[:-1]) else set()
 
 
 def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iterator[str]:
-    """Yield the names that a start has under both `pose` and `place`, which exclude each other."""
+    """Yield the names that a start lists under both `pose` and `place`, which are mutually exclusive."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
     if model is not None and isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
         yield from (name for name in place if name in pose)
@@ -65,7 +65,7 @@ def _several(group: tuple[str, ...], keys: Mapping[str, YamlTree] | frozenset[st
 
 
 def _holds_fields(model: type[Model], path: Path_) -> bool:
-    """True if the keys of a mapping are fields rather than names."""
+    """Return True if the keys of a mapping are fields rather than names."""
     return bool(models_at(model, path)) and not _is_start(model, path)
 
 

@@ -1,4 +1,4 @@
-"""Apply the renames of either side to all three documents of a merge."""
+"""Apply the renames of both sides to all three documents of a merge."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from simfoundry.spec.yaml.tree import YamlTree
 
 @dataclass(frozen=True)
 class SameNames:
-    """The three documents with every member under its new name.
+    """Three documents with every member under its new name.
 
-    ``edited`` are the paths of members that a side renamed and the other removed: to rename is to edit.
+    ``edited`` contains the paths of members that one side renamed and the other removed; a rename counts as an edit.
     """
 
     base: YamlTree
@@ -49,7 +49,7 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
                 continue
             members = _members(datas[there], rename.section)
             if rename.new in members or taken.get((rename.section, rename.new), rename.old) != rename.old:
-                continue  # the name means something else there
+                continue  # the name refers to a different member there
             for_base.append(rename)
             for_side[there].append(rename)
             if rename.old not in members and len(rename.section) == 1:
@@ -59,7 +59,7 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
 
 
 def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
-    """True if some mapping lost a key and gained another, without which there is no rename."""
+    """Return True if some mapping lost a key and gained another; otherwise there is no rename."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
     if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
@@ -72,7 +72,7 @@ def _renamed(tree: YamlTree, renames: list[Rename]) -> YamlTree:
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
-    """Return the tree with the keys and values of its renamed data, which has the same order."""
+    """Return the tree with the keys and values of ``data``, its renamed data in the same order."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)
         return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})

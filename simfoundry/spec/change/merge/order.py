@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Order:
-    """``keys`` in order; ``clash`` is true if both sides reordered the members of the base differently."""
+    """Merged order of ``keys``; ``clash`` is True if both sides reordered the members of the base differently."""
 
     keys: list[str]
     clash: bool
@@ -17,11 +17,12 @@ class Order:
 def merged_order(
     base: Collection[str], ours: Collection[str], theirs: Collection[str], kept: Collection[str], ours_first: bool
 ) -> Order:
-    """Order the ``kept`` keys, each of which is in at least one side.
+    """Return the order of the ``kept`` keys, each of which exists on at least one side.
 
-    A side that reorders what it shares with the base decides; what one side alone has follows what precedes it there.
-    Where both sides added something at one place, or both reordered, the names decide, so that it does not matter
-    which side is which; with ``ours_first`` our order wins over theirs where both reordered.
+    If one side reorders keys that it shares with the base, its order wins. A key that only one side has follows its
+    predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted by
+    name, so that the result does not depend on which side is which. With ``ours_first``, our order wins if both
+    reordered.
     """
     core = [key for key in ours if key in theirs and key in kept]
     core_theirs = [key for key in theirs if key in ours and key in kept]
@@ -49,7 +50,7 @@ def merged_order(
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
-    """Return the keys in a wanted order; a key that is not in it stays behind its predecessor."""
+    """Return the keys in the order ``wanted``; a key that it does not contain stays after its predecessor."""
     keys = list(keys)
     runs = _runs(keys, [key for key in wanted if key in set(keys)], keys)
     out = runs.get(None, [])
@@ -60,7 +61,7 @@ def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
 
 
 def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:
-    """Return the kept keys outside the core, by the core key before them."""
+    """Return the kept keys outside the core, grouped by the core key before them."""
     inside, runs, anchor = set(core), dict[str | None, list[str]](), None
     for key in keys:
         if key in inside:

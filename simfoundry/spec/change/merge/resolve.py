@@ -19,16 +19,16 @@ Side = Literal["ours", "theirs"]
 
 
 class ResolveError(SimfoundryError):
-    """A conflict that is not recorded, or whose place no longer exists."""
+    """Error for a conflict that is not recorded or whose path no longer exists."""
 
 
 def resolve(
     tree: YamlTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
 ) -> tuple[YamlTree, list[str]]:
-    """Resolve conflicts with a side's values; return the document and the keys of the removed entries.
+    """Resolve conflicts with one side's values; return the document and the keys of the removed entries.
 
-    ``chosen`` are keys of ``conflicts``, or paths above some (`objects.cup`); every conflict where there is none. Keys
-    that exclude each other are decided together.
+    ``chosen`` contains keys of ``conflicts`` or parent paths (`objects.cup`); if it is empty, every conflict is
+    resolved. Mutually exclusive keys are resolved together.
     """
     data = copied(tree.data)
     entries = data.get(CONFLICTS) if isinstance(data, dict) else None
@@ -67,14 +67,14 @@ def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[
 
 
 def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
-    """Yield the entries of keys that exclude the one at ``path``."""
+    """Yield the entries whose keys exclude the key at ``path``."""
     if path:
         rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
         yield from (key for key in entries if parts(key) in rivals)
 
 
 def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: dict[tuple[Path_, str], str]) -> None:
-    """Put a side's value at ``path``."""
+    """Set the value at ``path`` to one side's value."""
     place = data
     for k, part in enumerate(path[:-1]):
         place = place.get(part) if isinstance(place, dict) else None
@@ -90,19 +90,19 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
             raise ResolveError(
                 f"`{dotted((*path[:-1], value))}` is another one; give one of the two a new name by hand"
             )
-        names[path[:-1], here] = value  # both sides gave the member at `path` another name
+        names[path[:-1], here] = value  # both sides renamed the member at `path`
     else:
         place[key] = value
 
 
 def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
-    """True if a value is the order of a mapping rather than a new value for it."""
+    """Return True if a value is the key order of a mapping rather than a new value for it."""
     names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
     return any(name in members for name in names)
 
 
 def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
-    """Return the key of a remaining entry, whose member may have a new name now."""
+    """Return the key of a remaining entry, updated if its member was renamed."""
     path = parts(key)
     for (section, old), new in names.items():
         if path[: len(section) + 1] == (*section, old):
@@ -115,7 +115,7 @@ def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
 
 
 def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> YamlTree:
-    """Return the tree with members under their new names, so that they keep their comments."""
+    """Return the tree with members under their new names, which preserves their comments."""
     for (section, old), new in names.items():
 
         def with_new(members: YamlTree, old: str = old, new: str = new) -> YamlTree:
@@ -126,7 +126,7 @@ def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> Yam
 
 
 def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
-    """Return the tree with the comment that was kept beside a conflict."""
+    """Return the tree with the comment that was stored beside a conflict."""
     return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
 
 

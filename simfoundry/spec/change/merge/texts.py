@@ -17,16 +17,16 @@ from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 
 _UNREADABLE = ("SF002", "SF004", "SF005")
-"""Codes of texts that are no documents at all."""
+"""Codes of texts that are not documents."""
 
 
 class UnmergeableError(SimfoundryError):
-    """Texts that are not documents of one kind and can only be merged line by line."""
+    """Error for texts that are not documents of the same kind and can only be merged line by line."""
 
 
 @dataclass(frozen=True)
 class MergedText:
-    """A merged document with its open conflicts recorded in it."""
+    """Merged document in which the open conflicts are recorded."""
 
     text: str
     conflicts: tuple[MergeConflict, ...]
@@ -35,8 +35,8 @@ class MergedText:
 def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
     """Merge three texts by meaning, comments included; ``base`` is empty if both sides added the document.
 
-    The result is the text of the side that already says it, or else in canonical form. Raises
-    :class:`UnmergeableError` where a text is no document, or they are of different kinds.
+    If one side already equals the result, its text is returned unchanged; otherwise the result is in canonical form.
+    Raises :class:`UnmergeableError` if a text is not a document or the documents are of different kinds.
     """
     trees = [_tree(text, name) for text, name in ((base, "base"), (ours, "ours"), (theirs, "theirs"))]
     kinds = {str(tree.value[KIND].data) for tree in trees if KIND in tree.value}
@@ -51,10 +51,11 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
 
 
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
-    """Return errors of a merged text at ``path`` that neither side has: the edits do not fit together.
+    """Return errors of a merged text at ``path`` that neither side has, which means that the edits are incompatible.
 
-    Open conflicts are not among them. Files that the other side adds may not be there yet; they are missing in its own
-    text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: both together may be too large.
+    Open conflicts are excluded. Missing files that the other side adds are not reported, because they are missing for
+    its own text as well. Raises :class:`UnmergeableError` if the merged text cannot be read, for example because it is
+    too large.
     """
     found = _errors(path, merged)
     if not found:

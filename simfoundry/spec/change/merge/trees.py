@@ -1,9 +1,9 @@
 """Merge three documents by meaning.
 
-Mappings are merged key by key, ``relations``, ``no_contact`` and the lists of goals as sets, all else as a whole. Edits
-of different things never meet; equal edits are one. What cannot be united is a :class:`MergeConflict`: the document
-keeps ours (or, where one side removed what the other changed, what was changed), and says under ``conflicts`` what all
-three had.
+Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals as sets; all other values as a whole.
+Edits of different values never conflict, and equal edits are merged into one. Incompatible edits become a
+:class:`MergeConflict`: the document keeps our value (or the changed value, if the other side removed it) and records
+all three values under ``conflicts``.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 ORDERED = (("subtasks",), ("links",), ("frames",))
-"""Named mappings whose order means something."""
+"""Named mappings whose order is significant."""
 
 CONFLICTS = "conflicts"
 
 
 @dataclass(frozen=True)
 class Merged:
-    """A merged document with its open conflicts recorded; ``conflicts`` are those that this merge added."""
+    """Merged document in which open conflicts are recorded; ``conflicts`` are those added by this merge."""
 
     tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
 
     @property
     def data(self) -> Any:
-        """Plain data of the document."""
+        """Return the document as plain data."""
         return self.tree.data
 
 
@@ -62,7 +62,7 @@ def _model(document: YamlTree) -> type[Model] | None:
 
 
 def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
-    """Return the document with an entry for each conflict."""
+    """Return the document with one entry in ``conflicts`` for each conflict."""
     if not conflicts or not isinstance(tree.value, dict):
         return tree
     section = tree.value.get(CONFLICTS) or YamlTree({})
@@ -79,7 +79,7 @@ def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
 class _Merging:
     """State of one merge: the model, the members that a side renamed, and the conflicts found so far.
 
-    In an ``overlay``, which extends another document, a list that is not written is that of the other.
+    In an ``overlay``, which extends another document, a missing list is inherited from that document.
     """
 
     model: type[Model] | None
@@ -90,7 +90,7 @@ class _Merging:
     def value(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge one value; None if it is gone."""
+        """Merge one value; None if it was removed."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
         if base is not None and not self.edited and identical(base, theirs):
@@ -109,7 +109,7 @@ class _Merging:
     def one_sided(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge a value that one side does not have: new on the other, or removed here."""
+        """Merge a value that is missing on one side: either added on the other side or removed on this one."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
@@ -124,14 +124,14 @@ class _Merging:
         return there
 
     def is_empty_where_absent(self, base: YamlTree, there: YamlTree, path: Path_) -> bool:
-        """True for a mapping by name, or a list of relations or pairs, that is left out when empty."""
+        """Return True for a named mapping, or a list of relations or pairs, that is omitted if empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
     def whole(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """Take a value whole, from one side."""
+        """Take a value as a whole from one side."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
         taken, other = ours, theirs
@@ -168,7 +168,7 @@ class _Merging:
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
     def conditions(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """Merge a list of conditions as a set; if two edits of one condition clash, so does the list."""
+        """Merge a list of conditions as a set; if two edits of one condition conflict, the whole list does."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
         found, merged = len(self.conflicts), dict[str, YamlTree]()
@@ -186,13 +186,13 @@ class _Merging:
     def condition(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge one condition of a list, whose spacing does not matter."""
+        """Merge one condition of a list; spacing is ignored."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
             return self.value(base, ours, theirs, path)
         if ours is None or theirs is None:
             return None if base is not None else ours or theirs
-        taken = min((ours, theirs), key=lambda tree: repr(tree.data))  # whichever side is which
+        taken = min((ours, theirs), key=lambda tree: repr(tree.data))  # independent of which side is which
         return commented(taken, base, ours, theirs)
 
     # -- conflicts --------------------------------------------------------------------------------------------------
@@ -205,7 +205,7 @@ class _Merging:
         self.conflicts.append(MergeConflict(path, was, here, there, comment))
 
     def keep_ours(self, keys: set[str], base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Take our values of the ``keys``, with a conflict for each that differs."""
+        """Keep our values of the ``keys``, and record a conflict for each one that differs."""
         ours, theirs = sides
         inside = {(*path, key) for key in keys}
         self.conflicts = [c for c in self.conflicts if c.path[: len(path) + 1] not in inside]
@@ -218,7 +218,7 @@ class _Merging:
                 self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
 
     def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Do the same for a name that has a pose on one side and a place on the other at the start of a task."""
+        """Keep our value for a name that has a pose on one side and a place on the other at the start of a task."""
         for name in list(named_twice(self.model, path, merged)):
             for key in ("place", "pose"):
                 inner = dict(merged[key].value)
@@ -236,7 +236,7 @@ class _Merging:
 
 
 def _is_whole(path: Path_, ours: YamlTree, theirs: YamlTree) -> bool:
-    """True for mappings that are one value: an estimate, or an entry of ``conflicts``."""
+    """Return True for mappings that represent a single value: an estimate, or an entry of ``conflicts``."""
     estimate = path[-1:] in (("mass",), ("density",)) and ("value" in ours.value or "value" in theirs.value)
     return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
 
