@@ -1,1 +1,1 @@
-"""Meshes: reading them, what they weigh, and the convex parts that touch."""
+"""Meshes: readers, mass properties, and convex collision geometry."""

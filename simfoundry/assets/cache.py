@@ -1,7 +1,7 @@
-"""A content-addressed cache on disk: results that are slow to compute and depend on nothing but their key.
+"""Content-addressed disk cache for expensive results that depend only on their key.
 
-It may be deleted at any time, and keeps itself small: what was not read for longest goes first. An entry appears in one
-step, so that any number of processes may share it.
+It can be deleted at any time, and its size is limited: least recently read entries are removed first. Entries are
+written atomically, so that any number of processes can share the cache.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pathlib import Path
 from simfoundry.runtime.files import write_atomically
 
 MAX_BYTES = 2 * 2**30
-"""Bytes of a cache: the convex parts of some ten thousand meshes."""
+"""Largest size of a cache [bytes]: the convex parts of about ten thousand meshes."""
 
 SHELVES = 256
 """Folders of a cache, by the first two digits of the keys; each keeps its share of the bytes."""
 
 UNREAD_S = 24 * 3600.0
-"""An entry that was read within this time counts as read now, so that reading it writes nothing."""
+"""Interval in which repeated reads of an entry do not update its access time."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Cache:
 
     @classmethod
     def default(cls) -> Cache:
-        """The cache of this user: ``$SIMFOUNDRY_CACHE``, else below ``$XDG_CACHE_HOME``, else below ``~/.cache``."""
+        """Return the user's cache: ``$SIMFOUNDRY_CACHE``, else below ``$XDG_CACHE_HOME``, else below ``~/.cache``."""
         own = os.environ.get("SIMFOUNDRY_CACHE")
         if own:
             return cls(Path(own))
@@ -41,7 +41,7 @@ class Cache:
         return cls((Path(base) if base else Path.home() / ".cache") / "simfoundry")
 
     def get(self, key: str) -> bytes | None:
-        """The bytes stored under ``key``, or None."""
+        """Return the bytes stored under ``key``, or None."""
         path = self._path(key)
         try:
             data = path.read_bytes()
@@ -52,7 +52,7 @@ class Cache:
         return data
 
     def put(self, key: str, data: bytes) -> None:
-        """Store ``data`` unless it is too large; a cache that cannot be written is no reason to fail."""
+        """Store ``data`` unless it is too large; write errors are ignored."""
         path = self._path(key)
         if len(data) > self.most // SHELVES:
             return
@@ -79,7 +79,7 @@ def _trim(shelf: Path, most: int) -> None:
 
 
 def key_of(*parts: bytes | str) -> str:
-    """The key of a computation: a hash over what it depends on."""
+    """Return the key of a computation: a hash of all its inputs."""
     h = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part

@@ -1,4 +1,4 @@
-"""Convex parts of meshes: the colliders of every simulator."""
+"""Convex decomposition of meshes into collision geometry for all simulators."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ PRIMITIVE_APART = 0.10
 """Primitives farther from the hull than this share of the longest side are not compared with the mesh at all."""
 
 SLOW_FACES = 2000
-"""Triangles from which on the cache keeps hulls and primitives, too: to find them takes a tenth of a second."""
+"""Smallest triangle count for caching hulls and primitives, which take a tenth of a second to compute."""
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
-    """Convex hull of points [m], shape (n, 3), with at most ``limit`` vertices, faces counter-clockwise from outside.
+    """Return the convex hull of points [m], shape (n, 3), with at most ``limit`` vertices and outward faces.
 
-    Raises :class:`MeshError` for points that lie in one plane.
+    Raises :class:`MeshError` for coplanar points.
     """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         corners = points[np.sort(ConvexHull(points).vertices)]
-    except (QhullError, ValueError):  # the second where there are no points at all
+    except (QhullError, ValueError):  # ValueError if there are no points
         raise flat() from None
     if len(corners) > limit:
         corners = corners[_spread(corners, limit)]
@@ -70,7 +70,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
 
 
 def _spread(points: Array, count: int) -> NDArray[np.int64]:
-    """Indices of ``count`` points that lie far from one another, starting at the lowest corner."""
+    """Return the indices of ``count`` points that are far from each other, starting at the lowest corner."""
     chosen = [int(np.lexsort(points.T)[0])]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:
@@ -81,9 +81,9 @@ def _spread(points: Array, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Colliders:
-    """Collision shapes of a mesh: convex ``parts``, or one ``primitive`` instead.
+    """Collision geometry of a mesh: convex ``parts``, or a single ``primitive``.
 
-    ``error`` [m] is the greatest distance between their surface and that of the mesh.
+    ``error`` [m] is the largest distance between its surface and that of the mesh.
     """
 
     parts: tuple[Part, ...] = ()
@@ -155,20 +155,20 @@ def _simplest(
 
 
 def _is_solid(vertices: Array) -> bool:
-    """Return whether points span a volume; a sliver makes contacts unstable."""
+    """Return True if points span a volume; slivers make contacts unstable."""
     centred = np.asarray(vertices) - np.mean(vertices, axis=0)
     return len(vertices) >= 4 and float(np.linalg.svd(centred, compute_uv=False)[2]) > 1e-5
 
 
 def file_key(path: Path, scale: float, how: str) -> str:
-    """The key of the colliders of a mesh file read with a scale, for whoever does not read the file."""
+    """Return the cache key of the colliders of a mesh file read with a scale, without reading the mesh."""
     from simfoundry.assets import decompose
 
     return key_of("file colliders 1", how, repr(scale), decompose.settings(), file_digest(path))
 
 
 def pack_colliders(found: Colliders) -> bytes:
-    """The bytes of colliders in a cache."""
+    """Serialize colliders for a cache."""
     stream = io.BytesIO()
     arrays: dict[str, Array | Faces] = {"error": np.array([found.error])}
     for k, (corners, sides) in enumerate(found.parts):
@@ -182,7 +182,7 @@ def pack_colliders(found: Colliders) -> bytes:
 
 
 def unpack_colliders(data: bytes) -> Colliders | None:
-    """Read a cache entry; None if it is damaged, so that it is computed again."""
+    """Deserialize a cache entry; None if it is damaged and must be recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             count = sum(name.startswith("v") for name in arrays.files)

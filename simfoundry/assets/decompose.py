@@ -1,4 +1,4 @@
-"""Convex decomposition by CoACD, in a process of its own: on a hostile mesh it may crash, hang, or fill the memory."""
+"""Convex decomposition with CoACD in a subprocess, because it may crash, hang, or exhaust memory on bad meshes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ LIMITS = Limits(seconds=300.0, memory=8 * 2**30)
 """Limits of one mesh; those of YCB take up to a minute of one core."""
 
 FUNCTION = "simfoundry.assets.decompose:run"
-"""The function that the process calls."""
+"""Function that the subprocess calls."""
 
 MAX_PARTS = 32
-"""Colliders of a mesh at most: stepping a scene takes time in proportion."""
+"""Largest number of colliders of a mesh; the simulation time is proportional to it."""
 
 SETTINGS: dict[str, float | int] = {
     # Of 0.05, 0.1 and 0.2 measured on YCB: with 0.1 the banana is 3 parts within 6.7 mm (2 within 10 with 0.2) and the
@@ -60,7 +60,7 @@ def decompose(
 
 @cache
 def settings() -> str:
-    """All that the pieces of a mesh depend on beside it."""
+    """Return the settings that determine the pieces of a mesh."""
     from importlib.metadata import version
 
     return f"coacd {version('coacd')} {sorted(SETTINGS.items())!r}"
@@ -68,7 +68,7 @@ def settings() -> str:
 
 @cache
 def _worker() -> Worker:
-    """The process of this process: it starts with the first mesh that needs it, and serves all."""
+    """Return the subprocess, which is started for the first mesh and reused for all others."""
     return Worker(LIMITS)
 
 

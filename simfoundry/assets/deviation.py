@@ -1,4 +1,4 @@
-"""Distances between surfaces: of convex parts from the mesh they represent, and of simplified meshes from theirs."""
+"""Distances between surfaces: convex parts or simplified meshes compared to the original mesh."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ TOUCHING = 0.01
 
 
 def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -> float:
-    """The greatest distance [m] between the surface of a mesh and the outer one of convex parts.
+    """Return the largest distance [m] between the surface of a mesh and the outer surface of convex parts.
 
-    Sampled with a fixed seed, so that it is the same everywhere. Where the mesh stands out of all parts, it is the
-    distance to the nearest plane of a part; elsewhere the distance from the outer points of the parts to the mesh.
+    It is sampled with a fixed seed and therefore reproducible. For points of the mesh outside all parts, it is the
+    distance to the nearest plane of a part; otherwise the distance from the outer points of the parts to the mesh.
     """
     points, owner = surface_samples(vertices, faces, ON_MESH)
     planes = [face_planes(corners, sides) for corners, sides in parts]
@@ -42,7 +42,7 @@ def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -
 
 
 def greatest_distance(points: Array, vertices: Array, faces: Faces) -> float:
-    """The greatest distance [m] of points, shape (n, 3), to the surface of a mesh."""
+    """Return the largest distance [m] of points, shape (n, 3), to the surface of a mesh."""
     samples, owner = surface_samples(vertices, faces, ON_MESH)
     return _greatest_distance(points, vertices[faces], samples, owner)
 
@@ -70,7 +70,7 @@ def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
 
 
 def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """Signed distances [m] of points to the nearest part, negative inside it, shape (n,)."""
+    """Return the signed distances [m] of points to the nearest part, negative inside, shape (n,)."""
     nearest = np.full(len(points), np.inf)
     for normal, offset in planes:
         nearest = np.minimum(nearest, (points @ normal.T - offset).max(axis=1))
@@ -78,7 +78,7 @@ def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
 
 
 def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], touching: float) -> Array:
-    """Points on the surfaces of the parts that no other part covers or touches, shape (n, 3)."""
+    """Return points on the surfaces of the parts that no other part covers or touches, shape (n, 3)."""
     found = []
     for k, (corners, sides) in enumerate(parts):
         points, _ = surface_samples(corners, sides, max(200, ON_PARTS // len(parts)))

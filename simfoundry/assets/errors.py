@@ -1,9 +1,9 @@
-"""Faults of meshes, profiles and outlines; without numpy, so that a check starts at once."""
+"""Errors of meshes, profiles and outlines; does not import numpy, so that checks start quickly."""
 
 from __future__ import annotations
 
 MAX_FACES = 2_000_000
-"""Triangles of a mesh: decomposing more takes many minutes, and no simulator needs them."""
+"""Largest number of triangles of a mesh; decomposing more takes many minutes, and no simulator needs them."""
 
 MAX_BYTES = 256 * 2**20
 """Two million triangles with their pictures fit into this; more would take minutes and the memory of the machine."""
@@ -12,11 +12,11 @@ SMALLEST, LARGEST = 0.001, 20.0
 """Plausible extents of anything on, around or under a table [m]."""
 
 LEAST_VOLUME = 1e-10
-"""A solid of less than this [m^3], a tenth of a cubic millimetre, encloses nothing."""
+"""Smallest volume of a solid [m^3]: a tenth of a cubic millimetre."""
 
 
 class MeshError(Exception):
-    """A mesh that cannot be used: a diagnostic code, what is wrong, and what to do."""
+    """Error for an unusable mesh, with a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -37,37 +37,37 @@ def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
 
 
 def not_closed(name: str, gaps: int) -> MeshError:
-    """Edges with a face on one side only."""
+    """Return the error for edges with a face on only one side."""
     hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
     return MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on one side only", hint)
 
 
 def no_volume(name: str) -> MeshError:
-    """A closed surface around nothing."""
+    """Return the error for a surface that encloses no volume."""
     return MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
 
 
 def flat() -> MeshError:
-    """Points without a hull."""
+    """Return the error for coplanar points, which have no hull."""
     return MeshError("SF301", "the mesh is flat: its points lie in one plane", "give it thickness")
 
 
 def too_large(name: str, size: int) -> MeshError:
-    """A file of more bytes than are read."""
+    """Return the error for a file that is too large."""
     most = MAX_BYTES // 2**20
     return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; at most {most} are read", "decimate it first")
 
 
 def profile_misses_axis() -> MeshError:
-    """A profile that does not start and end on the axis."""
+    """Return the error for a profile that does not start and end on the axis."""
     return MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
 
 
 def profile_off_axis() -> MeshError:
-    """A profile that comes back to the axis in between."""
+    """Return the error for a profile that touches the axis between its ends."""
     return MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
 
 
 def shape_crosses_itself(what: str) -> MeshError:
-    """A profile or an outline that is no simple polygon."""
+    """Return the error for a profile or an outline that is not a simple polygon."""
     return MeshError("SF301", f"the {what} crosses itself or has no area", "list its corners in order around it")

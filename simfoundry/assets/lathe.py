@@ -1,4 +1,4 @@
-"""Solids of revolution: a profile turned about z, as one closed mesh and as convex parts."""
+"""Solids of revolution: a profile rotated about z, as one closed mesh and as convex parts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SAG = 0.0015
 """Bands of the profile are joined while their hull stays within this distance of them [m]."""
 
 MOST_CORNERS = 64
-"""Corners that a part may have in every engine; see :mod:`simfoundry.assets.convex`."""
+"""Largest number of corners of a part that every engine supports; see :mod:`simfoundry.assets.convex`."""
 
 
 def checked_profile(profile: Array) -> Array:
@@ -55,7 +55,7 @@ def checked_profile(profile: Array) -> Array:
 
 
 def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
-    """Vertices and outward faces of the closed body of a checked profile."""
+    """Return vertices and outward faces of the closed body of a checked profile."""
     angle = np.arange(sides) * (2 * math.pi / sides)
     around = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [np.column_stack([radius * around, np.full(sides, height)]) for radius, height in profile[1:-1]]
@@ -81,7 +81,7 @@ def ring_faces(rings: int, sides: int) -> Faces:
 
 
 def lathe_parts(profile: Array) -> list[Array]:
-    """Corner points of convex parts that make up the body of a checked profile.
+    """Return the corner points of convex parts that form the body of a checked profile.
 
     The profile is cut into bands at the heights of its corners; neighbouring bands are joined while they stay nearly
     convex. A band that reaches the axis is one part, a ring is cut into sectors.
@@ -153,7 +153,7 @@ def _polygons(shape: Any) -> list[Polygon]:
 
 
 def _fits(union: Any) -> bool:
-    """Return whether the union is one piece, nearly convex, and stays so when it is turned about the axis."""
+    """Return True if the union is one piece, nearly convex, and remains so when rotated about the axis."""
     if union.geom_type != "Polygon" or not _nearly_convex(union):
         return False
     corners = np.array(union.exterior.coords)[:-1]

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SolidMoments:
-    """A solid of density 1.
+    """Volume moments of a solid with density 1.
 
     ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the centre of mass, shape (3, 3).
     """
@@ -23,12 +23,12 @@ class SolidMoments:
     inertia: Array
 
     def moved(self, rotation: Array, translation: Array) -> SolidMoments:
-        """The same solid in a frame where its own is rotated (3, 3) and translated (3,)."""
+        """Return the solid in a frame in which its own frame is rotated (3, 3) and translated (3,)."""
         return SolidMoments(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
 
 
 def _diagonal(xx: float, yy: float, zz: float) -> Array:
-    """A diagonal matrix; numpy's own takes several times as long."""
+    """Return a diagonal matrix; several times faster than numpy's function."""
     return np.array([[xx, 0.0, 0.0], [0.0, yy, 0.0], [0.0, 0.0, zz]])
 
 
@@ -108,7 +108,7 @@ def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
 
 
 def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
-    """Mass, centre of mass and inertia about it of parts, each with its density [kg/m^3]."""
+    """Return the combined mass, centre of mass, and inertia about it of parts with densities [kg/m^3]."""
     if len(parts) == 1:  # its centre is its own, to the last digit
         density, solid = parts[0]
         return density * solid.volume, solid.com, density * solid.inertia

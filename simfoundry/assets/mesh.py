@@ -1,4 +1,4 @@
-"""Read mesh files: triangles, colours and textures, checked before anything is computed from them."""
+"""Read mesh files: triangles, colours and textures, validated before further computation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_ENCODED = 4
 compress one takes half a second."""
 
 MAX_PIXELS = 8192**2
-"""More pixels of a texture take a GiB and a minute, and no simulator shows them."""
+"""Largest number of texture pixels; more take a GiB and a minute, and no simulator renders them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
         with np.errstate(all="ignore"):  # of numbers that are none, which are found below
             scene = trimesh.load_scene(path, process=False)
             meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
-    except Exception as error:  # trimesh lets every parser's own exceptions through
+    except Exception as error:  # trimesh does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
         raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
     if not meshes:
@@ -130,7 +130,7 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
 
 
 def texture_png(name: str, image: Any) -> bytes:
-    """Return an image as a PNG; raises :class:`MeshError` where it is too large to be shown."""
+    """Return an image as a PNG; raises :class:`MeshError` if it is too large."""
     width, height = image.size
     if width * height > MAX_PIXELS:
         most = math.isqrt(MAX_PIXELS)
@@ -197,7 +197,7 @@ GLB_TRIANGLES = 4
 def check_counts(path: Path) -> None:
     """Raise :class:`MeshError` for a mesh file with more bytes, triangles or points than are read.
 
-    Damaged files pass: whoever reads them says what is wrong.
+    Damaged files are accepted here; the mesh reader reports them.
     """
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -227,7 +227,7 @@ def _obj(path: Path) -> tuple[int, int]:
 
 
 def _lines(path: Path, start: bytes) -> int:
-    """The count of lines with this start; those at the seam of two blocks are missed."""
+    """Return the number of lines with a prefix, except lines that cross a block boundary."""
     count = 0
     with path.open("rb") as stream:
         while block := stream.read(2**24):

@@ -1,6 +1,6 @@
-"""Summaries of mesh files for checks: bounds, volume, gaps and hull, measured once and kept in the cache.
+"""Summaries of mesh files for checks: bounds, volume, gaps and hull, computed once and cached.
 
-A file that was measured before is only hashed, so that a second check loads neither numpy nor a reader of meshes.
+A known file is only hashed, so that a second check imports neither numpy nor a mesh reader.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull, or as a primitive."""
 
 VERSION = "mesh facts 2"
-"""Changes with what is measured."""
+"""Version of the measurements; part of the cache key."""
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
@@ -61,7 +61,7 @@ class MeshFacts:
 
     @property
     def is_nearly_convex(self) -> bool:
-        """Return whether the mesh certainly collides as its hull."""
+        """Return True if the mesh certainly collides as its hull."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> SolidMoments:
@@ -92,7 +92,7 @@ class MeshFacts:
 
 
 def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
-    """The facts of a mesh file, from the cache where they are; raises :class:`MeshError` where it cannot be read."""
+    """Return the facts of a mesh file, from the cache if possible; raises :class:`MeshError` if it cannot be read."""
     try:
         stat = path.stat()
     except OSError as error:
@@ -147,7 +147,7 @@ def _read(stored: bytes) -> MeshFacts | None:
 
 
 def measure(path: Path) -> MeshFacts:
-    """Read a mesh file and measure it; raises :class:`MeshError` where it cannot be read."""
+    """Read a mesh file and measure it; raises :class:`MeshError` if it cannot be read."""
     import numpy as np
 
     from simfoundry.assets import mass

@@ -1,4 +1,4 @@
-"""Boxes, cylinders and spheres in place of convex hulls that are nearly one: cheaper in every engine."""
+"""Fit boxes, cylinders and spheres to convex hulls of nearly that shape; primitives are cheaper in every engine."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _mean_radius(points: Array, directions: Array) -> float:
 
 
 def _directions(count: int) -> Array:
-    """Unit vectors spread evenly, shape (count, 3): a Fibonacci lattice."""
+    """Return evenly distributed unit vectors, shape (count, 3): a Fibonacci lattice."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + 5**0.5) * k

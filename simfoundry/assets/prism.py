@@ -25,7 +25,7 @@ def checked_outline(outline: Array) -> Array:
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
-    """Vertices and faces of the closed prism over a counter-clockwise outline, centred in height."""
+    """Return vertices and faces of the closed prism over a counter-clockwise outline, centred in height."""
     n = len(outline)
     low = np.column_stack([outline, np.full(n, -height / 2)])
     high = np.column_stack([outline, np.full(n, height / 2)])
@@ -69,7 +69,7 @@ def _triangles(outline: Array) -> Faces:
 
 
 def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
-    """The union of two counter-clockwise polygons on both sides of the edge from ``start`` to ``end`` in ``a``."""
+    """Return the union of two counter-clockwise polygons that share the edge from ``start`` to ``end`` in ``a``."""
     i, j = a.index(end), b.index(start)
     around_a = a[i:] + a[:i]  # from the end of the edge to its start
     around_b = b[j:] + b[:j]  # from the start of the edge to its end

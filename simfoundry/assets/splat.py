@@ -1,4 +1,4 @@
-"""Read 3D Gaussian splats: the PLY that trainers write, its stored numbers converted to physical ones.
+"""Read 3D Gaussian splats from PLY files of trainers, and convert the raw parameters to physical values.
 
 The file holds raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
 function, scales before the exponential, quaternions of any length, and colour as spherical harmonics, channel by
@@ -42,12 +42,12 @@ class Gaussians:
 
     @property
     def degree(self) -> int:
-        """The highest degree of the spherical harmonics."""
+        """Return the highest degree of the spherical harmonics."""
         return math.isqrt(self.harmonics.shape[1]) - 1
 
 
 def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
-    """The Gaussians of a PLY file, in metres; raises :class:`MeshError` for a file that holds none."""
+    """Return the Gaussians of a PLY file, in metres; raises :class:`MeshError` for a file without any."""
     raw = _vertices(path)
     names = raw.dtype.names or ()
     missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]
@@ -81,13 +81,13 @@ _RESTS = (0, 9, 24, 45)
 
 
 def _vertices(path: Path) -> Any:
-    """The vertex element of a PLY as a structured array."""
+    """Return the vertex element of a PLY as a structured array."""
     import trimesh
 
     try:
         cloud = trimesh.load(path, file_type="ply", process=False)
         return np.asarray(cloud.metadata["_ply_raw"]["vertex"]["data"])
-    except Exception as error:  # trimesh lets every parser's own exceptions through
+    except Exception as error:  # trimesh does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
         raise MeshError("SF301", f"{path.name} cannot be read as a splat: {reason}", EXPORT) from None
 

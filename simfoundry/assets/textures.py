@@ -1,4 +1,4 @@
-"""Pictures that mesh files name, and which of them cannot be shown; without numpy, so that a check starts at once."""
+"""Find faulty images of mesh files; does not import numpy, so that checks start quickly."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 
 
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
-    """Return the faults of the pictures that a mesh file names, a sentence each; none where all of them are shown.
+    """Return the errors of the images that a mesh file refers to, one sentence each; empty if there are none.
 
-    One that is missing, that cannot be read, or that lies outside of the folder ``root`` leaves its surface plain.
+    An image that is missing, unreadable, or outside the folder ``root`` leaves its surface untextured.
     """
     try:
         return list(dict.fromkeys(_faults(path, root)))
     except OSError:
-        return []  # whoever reads the mesh says so
+        return []  # the mesh reader reports this
 
 
 def _faults(path: Path, root: Path | None) -> Iterator[str]:
@@ -74,7 +74,7 @@ def _faults(path: Path, root: Path | None) -> Iterator[str]:
 
 
 def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
-    """The file that names each picture, and the name in it."""
+    """Yield each image name with the file that refers to it."""
     match path.suffix.lower():
         case ".obj":
             for found in _MATERIAL_FILE.findall(_head(path)):

@@ -1,4 +1,4 @@
-"""Names of other formats as names of the language: lower-case letters, digits and `_`, each once."""
+"""Conversion of names from other formats to unique document names of lower-case letters, digits and `_`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import unicodedata
 from simfoundry.spec.models.base import WORLD
 
 LONGEST = 64
-"""Characters of a name: the language allows no more."""
+"""Largest length of a name in documents."""
 
 
 def plain_name(text: str, otherwise: str = "thing") -> str:
-    """Return the name of the language that is closest to a text."""
+    """Return the valid document name that is closest to a text."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
     ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
     name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
@@ -22,9 +22,9 @@ def plain_name(text: str, otherwise: str = "thing") -> str:
 
 
 class NameTable:
-    """Unique names for the elements of one kind; ``renamed`` has those that had to change.
+    """Unique names for the elements of one kind; ``renamed`` contains names that had to change.
 
-    None is called ``world``, which formats keep for the static world.
+    The name ``world`` is never used, because formats reserve it for the static world.
     """
 
     def __init__(self, otherwise: str = "thing") -> None:
@@ -33,7 +33,7 @@ class NameTable:
         self.renamed: dict[str, str] = {}
 
     def name(self, text: str) -> str:
-        """Return a name for an element called ``text``, unlike all that were given before."""
+        """Return a unique name for an element called ``text``."""
         plain = plain_name(text, self.otherwise)
         name, count = plain, 1
         while name in self.taken:

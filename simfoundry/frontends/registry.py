@@ -1,4 +1,4 @@
-"""The frontends, each registered once: what files it takes, and the function that reads one into a draft."""
+"""Registry of frontends: the files that each supports, and the function that reads a file into a draft."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.task import TaskSpec
 
 TaskReader = Callable[["Path", "SceneSpec", "Scene", "Path", ImportOptions], "tuple[TaskSpec, ModelDraft]"]
-"""Reads a task of a file for a scene, which is given as a document and lowered, to be written to a path."""
+"""Function that reads a task file for a scene, given as a document and lowered, for writing to a path."""
 
 
 @dataclass(frozen=True)
 class Frontend:
-    """A format of models: its ``suffixes``, its mark where formats share a suffix, and its reader.
+    """Model format: its ``suffixes``, its reader, and a test to distinguish formats with the same suffix.
 
-    ``reader`` is a function's name in a module, which is loaded when a file of the format is read. The mark is the root
-    element of XML, ``root_tag``, or a test of the file, ``accepts``.
+    ``reader`` is the name of a function in a module that is imported on first use. The test is either the XML root
+    element, ``root_tag``, or a function of the file, ``accepts``.
     """
 
     name: str
@@ -48,7 +48,7 @@ def _function(name: str) -> Callable[..., Any]:
 
 
 def is_poses(path: Path) -> bool:
-    """Return whether a JSON file says where URDFs stand."""
+    """Return True if a JSON file contains the poses of URDFs."""
     return bool(_function("urdf.folder:is_poses")(path))
 
 
@@ -73,7 +73,7 @@ SUFFIXES = tuple(dict.fromkeys(suffix for frontend in FRONTENDS for suffix in fr
 
 
 def frontend_of(path: Path) -> Frontend:
-    """Return the frontend of a file; raises :class:`ImportRefusedError` where there is none."""
+    """Return the frontend of a file; raises :class:`ImportRefusedError` if there is none."""
     found = [frontend for frontend in FRONTENDS if path.suffix.lower() in frontend.suffixes]
     if not found:
         hint = f"these are: {', '.join(SUFFIXES)}, and with --scene the tasks {', '.join(TASK_FRONTENDS)}"

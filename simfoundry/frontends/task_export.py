@@ -1,6 +1,6 @@
-"""Export tasks to the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
+"""Export tasks to other formats: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
 
-A task is refused where a format would change the meaning of its goal; losses at the start are noted.
+A task is rejected if a format would change the meaning of its goal; losses at the start are recorded.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ FORMATS = ("libero", "behavior", "omnigibson")
 
 
 class TaskExportError(SimfoundryError):
-    """A task that a format cannot express; the message names the reason, and the format that can."""
+    """Error for a task that a format cannot express; the message gives the reason and a format that can."""
 
 
 @dataclass
 class TaskExport:
-    """A file's text, with notes on what was left out or assumed."""
+    """Text of a file, with notes on omissions and assumptions."""
 
     text: str = ""
     notes: list[str] = field(default_factory=list)
 
     def args(self, call: Call) -> list[str]:
-        """Return the objects of a predicate, with a note where it means a part of one."""
+        """Return the objects of a predicate; add a note if it refers to a part of one."""
         args = [object_of(arg) for arg in call.args]
         if args != list(call.args):
             self.notes.append(f"{call}: the whole of the object is meant, not its part")
@@ -53,7 +53,7 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
 
 
 def atoms(condition: Any) -> list[tuple[Call, bool]]:
-    """Return the predicates of a conjunction, each with its truth value; raises :class:`TaskExportError` for others."""
+    """Return the predicates of a conjunction with their truth values; raises :class:`TaskExportError` for others."""
     tag, below = parts(condition)
     if tag == "text":
         return [(parse_call(below[0]), True)]
@@ -70,7 +70,7 @@ def object_of(name: str) -> str:
 
 
 def support(scene: Scene, name: str) -> SceneObject:
-    """Return the object that another stands on by the scene's relations; else the first fixed object."""
+    """Return the support of an object according to the scene's relations, else the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
             return scene.object(object_of(relation.args[1]))
@@ -89,7 +89,7 @@ _BEHAVIOR = {
 }  # fmt: skip
 _JOINED = {"all": "and", "any": "or", "not": "not"}
 _UNSAID = ("Released",)
-"""Predicates that may be left out: the others' `On` and `In` ask for contact and nothing of the gripper."""
+"""Predicates that can be omitted: `On` and `In` of the other formats require contact but ignore the gripper."""
 
 
 def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> str:
@@ -99,7 +99,7 @@ def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> 
     if not goal:
         raise TaskExportError("nothing of the goal can be expressed in this format")
     init = list(_libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export))
-    # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
+    # LIBERO chooses the environment class by the name of the problem, and the task by the name of the file.
     name = "LIBERO_Tabletop_Manipulation" if is_libero else f"{spec.name or 'task'}-0"
     sections = [f"(define (problem {name})", f"  (:domain {'robosuite' if is_libero else 'omnigibson'})"]
     if is_libero:
@@ -129,7 +129,7 @@ def _kind(item: SceneObject) -> str:
 
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
-    """BEHAVIOR's names: a synset of WordNet and a number."""
+    """Return BEHAVIOR's names, which consist of a WordNet synset and a number."""
     counts: dict[str, int] = {}
     names = {}
     for item in scene.objects:
@@ -153,7 +153,7 @@ def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExpo
 
 
 def _region(name: str, regions: dict[str, list[str]]) -> str:
-    """The word for an object, or for a part of one, which is a region of it."""
+    """Return the name of an object, or of the region that represents a part of it."""
     item, dot, part = name.partition(".")
     if not dot:
         return item
@@ -258,7 +258,7 @@ def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> di
 
 
 def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
-    """Half widths about the scene's poses, which is all that the release knows."""
+    """Return half widths around the scene's poses, the only form that the release supports."""
     widths: dict[str, list[float]] = {}
     turns: dict[str, float] = {}
     for name, region in spec.reset.objects.items():

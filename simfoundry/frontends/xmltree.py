@@ -1,8 +1,8 @@
-"""Read XML with line numbers from files that nobody vouches for: no entities, no external files, bounded size.
+"""Read untrusted XML files with line numbers: no entities, no external files, bounded size.
 
-Expat does the reading. Neither lxml nor defusedxml keeps what is promised: of 2,380 public files lxml refuses 28 that
-simulators load (26 of PyBullet's own declare XML 0.0, two COLLADA files have texts of over 10 MB) and gives the last
-line of a tag rather than the first; defusedxml, like lxml, knows namespaces, and refuses prefixes without one.
+This module uses Expat, because neither lxml nor defusedxml is suitable: of 2,380 public files, lxml rejects 28 that
+simulators load (26 files of PyBullet declare XML 0.0, two COLLADA files have texts of over 10 MB), and it reports the
+last line of a tag rather than the first; defusedxml, like lxml, handles namespaces and rejects undeclared prefixes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from xml.parsers import expat
 from simfoundry.frontends.errors import ImportRefusedError
 
 MAX_BYTES = 50_000_000
-"""The largest of 2,380 public models has 21 MB."""
+"""Largest file size [bytes]; the largest of 2,380 public models has 21 MB."""
 
 MAX_ELEMENTS = 500_000
-"""Elements take a second and 200 MB; the largest public model has a tenth of them."""
+"""Largest number of elements, which takes a second and 200 MB; the largest public model has a tenth of them."""
 
 MAX_DEPTH = 200
-"""Elements within elements: a chain of bodies in MJCF nests as deep as its joints are many."""
+"""Largest nesting depth; a chain of bodies in MJCF has one level per joint."""
 
 
 @dataclass(eq=False)
 class Element:
-    """An element of an XML file, with the line where it starts."""
+    """Element of an XML file, with the line where it starts."""
 
     file: Path
     tag: str
@@ -54,18 +54,18 @@ class Element:
             yield from child.walk()
 
     def get(self, name: str) -> str | None:
-        """Return the text of an attribute, without spaces around it; None where it is absent or empty."""
+        """Return the text of an attribute without surrounding spaces; None if it is absent or empty."""
         return self.attributes.get(name, "").strip() or None
 
     def need(self, name: str) -> str:
-        """Return the text of an attribute that must be there."""
+        """Return the text of a required attribute."""
         text = self.get(name)
         if text is None:
             raise self.refused(f"`<{self.tag}>` has no `{name}`")
         return text
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-        """Return an attribute of ``count`` numbers; without a default it must be there."""
+        """Return an attribute of ``count`` numbers; it is required unless there is a default."""
         text = self.need(name) if default is None else self.get(name)
         if text is None:
             assert default is not None
@@ -80,12 +80,12 @@ class Element:
         return values
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return an attribute of one number; without a default it must be there."""
+        """Return an attribute of one number; it is required unless there is a default."""
         return self.numbers(name, 1, None if default is None else (default,))[0]
 
 
 def read_xml(path: Path, root_tag: str | None = None) -> Element:
-    """Return the root element of an XML file; raises :class:`ImportRefusedError` for others, and for harm."""
+    """Return the root element of an XML file; raises :class:`ImportRefusedError` for invalid or malicious files."""
     try:
         data = path.open("rb").read(MAX_BYTES + 1)
     except OSError as error:
@@ -99,7 +99,7 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
 
 
 class _Reader:
-    """Builds elements while expat reads; entities are refused before one is used."""
+    """Builds elements from expat events; entity declarations are rejected before use."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.count = path, 0
@@ -116,7 +116,7 @@ class _Reader:
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise ImportRefusedError(self.path, f"it is not XML: {reason}", error.lineno) from None
-        except (ValueError, LookupError) as error:  # an encoding that Python does not know
+        except (ValueError, LookupError) as error:  # an encoding that Python does not support
             raise ImportRefusedError(self.path, f"it is not XML: {error}") from None
         assert self.root is not None
         return self.root

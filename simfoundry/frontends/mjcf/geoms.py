@@ -17,27 +17,27 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 GROUND = 20.0
-"""Width [m] of the box that stands for an infinite plane: as wide as a document allows."""
+"""Width [m] of the box that represents an infinite plane: the maximum in documents."""
 
 DEPTH = 0.1
-"""Thickness [m] of that box, whose top is the plane: nothing falls through it within a step."""
+"""Thickness [m] of that box, whose top is the plane; thick enough that nothing tunnels through it."""
 
 HIDDEN_GROUP = 3
-"""MuJoCo's viewers show geoms of lower groups only: those above are for contact."""
+"""First group that MuJoCo's viewers hide by default; geoms in it are for contact only."""
 
 UNSET = (0.5, 0.5, 0.5, 1.0)
-"""MuJoCo's colour of a geom that gives none."""
+"""Default colour of a geom in MuJoCo."""
 
 
 class MjcfGeoms:
-    """Turns geoms into parts; a mesh that many geoms use is written once."""
+    """Converts geoms to parts; a mesh shared by several geoms is written once."""
 
     def __init__(self, source: MjcfSource) -> None:
         self.source, self.mujoco, self.model, self.draft = source, source.mujoco, source.model, source.draft
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
 
     def part(self, geom: int) -> PartDraft | None:
-        """Return a geom as a part, posed in its body; None, with a note, for one that the language has not."""
+        """Return a geom as a part, posed in its body; record an unsupported geom and return None."""
         model, types = self.model, self.mujoco.mjtGeom
         name = self.source.name("geom", geom)
         kind = self.mujoco.mjtGeom(int(model.geom_type[geom]))
@@ -70,7 +70,7 @@ class MjcfGeoms:
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
-        """The use of a geom: one without contact is visual, one that viewers hide is for contact only."""
+        """Return the use of a geom: visual if it has no contact, collision if viewers hide it."""
         model = self.model
         touches = bool(model.geom_contype[geom]) or bool(model.geom_conaffinity[geom])
         if not touches:
@@ -79,7 +79,7 @@ class MjcfGeoms:
         return "collision" if hidden else "both"
 
     def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
-        """The part with its contact parameters and colour."""
+        """Return the part with its contact parameters and colour."""
         model = self.model
         if part.collides:
             sliding, spinning, rolling = model.geom_friction[geom].tolist()
@@ -98,7 +98,7 @@ class MjcfGeoms:
         return part
 
     def rgba(self, geom: int) -> Rgba:
-        """The colour of a geom: its own, or that of its material."""
+        """Return the colour of a geom: its own, or that of its material."""
         model, material = self.model, int(self.model.geom_matid[geom])
         own: Rgba = tuple(float(np.clip(v, 0, 1)) for v in model.geom_rgba[geom])  # type: ignore[assignment]
         if own != UNSET or material < 0:
@@ -106,7 +106,7 @@ class MjcfGeoms:
         return tuple(float(np.clip(v, 0, 1)) for v in model.mat_rgba[material])  # type: ignore[return-value]
 
     def texture(self, material: int) -> int:
-        """The id of the colour texture of a material; -1 for none that can be laid on a mesh."""
+        """Return the id of the colour texture of a material; -1 if none can be applied to a mesh."""
         if material < 0:
             return -1
         roles = np.ravel(self.model.mat_texid[material])
@@ -116,7 +116,7 @@ class MjcfGeoms:
         return texture if flat else -1
 
     def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:
-        """The mesh of a geom in the frame of its file, and its pose there."""
+        """Return the mesh of a geom in the frame of its file, and the pose of that frame."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
         texture = self.texture(int(model.geom_matid[geom]))
@@ -134,7 +134,7 @@ class MjcfGeoms:
         return replace(part, rgba=self.rgba(geom))
 
     def mesh_part(self, mesh: int, texture: int, X_FM: Pose) -> MeshPart:
-        """A mesh in a frame in which MuJoCo's frame of it has the pose ``X_FM``."""
+        """Return a mesh in the frame F, given the pose ``X_FM`` of MuJoCo's mesh frame in F."""
         model = self.model
         start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         vertices = X_FM.apply(np.array(model.mesh_vert[start : start + count], dtype=np.float64))
@@ -150,7 +150,7 @@ class MjcfGeoms:
         return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
 
     def png(self, texture: int) -> bytes:
-        """A texture as a PNG."""
+        """Return a texture as a PNG."""
         from PIL import Image
 
         model = self.model
@@ -163,7 +163,7 @@ class MjcfGeoms:
         return stream.getvalue()
 
     def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
-        """A mesh for an ellipsoid with three radii [m]."""
+        """Return a mesh for an ellipsoid with three radii [m]."""
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=3)
@@ -173,5 +173,5 @@ class MjcfGeoms:
 
 
 def _shortened(vertices: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Coordinates at the precision that MuJoCo keeps, single, so that turning leaves no noise."""
+    """Round coordinates to single precision, which MuJoCo uses, to remove the noise of rotations."""
     return np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))

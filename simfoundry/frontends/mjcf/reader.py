@@ -1,4 +1,4 @@
-"""Read MJCF: compiled by MuJoCo itself, so that defaults, includes and frames keep their meaning."""
+"""Read MJCF files compiled by MuJoCo itself, so that defaults, includes and frames keep their meaning."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.geometry.frames import Array, Pose
 
 MAX_INCLUDES = 100
-"""Files that one model may include: the largest of public models include a tenth, and an endless chain ends here."""
+"""Largest number of included files, which stops infinite chains; public models include at most a tenth of it."""
 
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
@@ -35,20 +35,20 @@ _NUMBERS = (
     "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
     "light_diffuse", "light_cutoff",
 )  # fmt: skip
-"""Fields of a model that are read, and have to be finite: MuJoCo takes NaN for most of them."""
+"""Fields of a model that are read and must be finite; MuJoCo accepts NaN for most of them."""
 
 _KINDS = {"jnt": "joint", "mat": "material", "cam": "camera"}
-"""Kinds of elements by the prefixes of fields of a model, where these are not the same."""
+"""Kinds of elements by field prefix, for prefixes that differ from the kind."""
 
 NO_LENGTH = 1e-9
 """Vectors shorter than this have no direction; MuJoCo normalizes all others."""
 
 NOISE = 1e-12
-"""Products of inertia below this share of the trace are rounding noise of turned axes."""
+"""Products of inertia below this fraction of the trace are rounding noise of rotated axes."""
 
 
 def read_mjcf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the scene of an MJCF file; raises :class:`ImportRefusedError` with MuJoCo's own reason where it is none."""
+    """Read the scene of an MJCF file; raises :class:`ImportRefusedError` with MuJoCo's reason if it is invalid."""
     import mujoco
 
     if options.density is not None:
@@ -66,7 +66,7 @@ def read_mjcf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
 
 
 def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
-    """The XML of a file and of its includes, which name no file outside the folders of the model."""
+    """Return the XML of a file and its includes; they must not refer to files outside the folders of the model."""
     search = FileSearch(path, packages)
     roots: list[Element] = []
     waiting = [path]
@@ -90,7 +90,7 @@ def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
 
 
 def _check_file(search: FileSearch, path: Path, element: Element, folders: list[Path]) -> None:
-    """Refuse a file that is not there or lies outside the folders of the model."""
+    """Reject a file that is missing or outside the folders of the model."""
     reference, missing = element.need("file"), NotFoundError("does not exist")
     beside = dict.fromkeys((path.resolve().parent, element.file.resolve().parent))  # MuJoCo looks beside both
     for here, folder in itertools.product(beside, folders):
@@ -105,7 +105,7 @@ def _check_file(search: FileSearch, path: Path, element: Element, folders: list[
 
 
 def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
-    """Refuse a model with numbers that are not finite, and rotations and axes without a length."""
+    """Reject a model with non-finite numbers or with rotations or axes of zero length."""
     for field in _NUMBERS:
         rows = np.asarray(getattr(model, field), dtype=np.float64)
         rows = rows.reshape(len(rows), math.prod(rows.shape[1:]))
@@ -128,7 +128,7 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
 
 
 class _MjcfReader:
-    """A compiled model on its way into a draft."""
+    """State of converting a compiled model to a draft."""
 
     def __init__(self, path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
         self.path, self.mujoco, self.roots = path, mujoco, roots
@@ -144,12 +144,12 @@ class _MjcfReader:
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
         self.free_joints: dict[str, str] = {}
-        """By body, the name of its free joint."""
+        """Name of the free joint of each body."""
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
         self.taken = {kind: set(names) for kind, names in self.names.items()}
 
     def element_names(self, kind: str, count: int) -> list[str]:
-        """A name for each element of a kind, its own or its kind with its number; no two are alike."""
+        """Return unique names for the elements of a kind: their own, or the kind with a number."""
         own = [self.source.name(kind, k) for k in range(count)]
         taken = set(own)
         names = []
@@ -159,7 +159,7 @@ class _MjcfReader:
         return names
 
     def new_name(self, kind: str, wish: str) -> str:
-        """A name like ``wish`` for a link or joint that the file does not have; it is taken from then on."""
+        """Return and reserve a name based on ``wish`` for an additional link or joint."""
         name = free_name(wish, self.taken[kind])
         self.taken[kind].add(name)
         return name
@@ -186,7 +186,7 @@ class _MjcfReader:
         return self.draft
 
     def world(self) -> None:
-        """The geoms of the world body, each a fixed object of its own; the background of our scenes is one mesh."""
+        """Convert each geom of the world body to a fixed object, and the background of compiled scenes to one mesh."""
         model = self.model
         background = []
         for geom in np.flatnonzero(model.geom_bodyid == 0).tolist():
@@ -205,7 +205,7 @@ class _MjcfReader:
             self.draft.background = mesh_of_parts(background, "background")
 
     def root(self, body: int) -> None:
-        """A child of the world: free, fixed, or carried by a static base."""
+        """Convert a child of the world: a free body, a fixed body, or one with joints on a static base."""
         model, name, joints = self.model, self.names["body"][body], self.joints_of(body)
         unique = name if name == self.draft.free_name(name) else f"{name}_body"
         free = [int(model.jnt_type[j]) for j in joints] == [int(self.mujoco.mjtJoint.mjJNT_FREE)]
@@ -227,7 +227,7 @@ class _MjcfReader:
         self.chain(draft, body, base, Pose.of(), joints)
 
     def note_free_dynamics(self, joint: int) -> None:
-        """Note damping, friction and armature of a free joint: free bodies have no joint here."""
+        """Record damping, friction and armature of a free joint as dropped, because free bodies have no joint."""
         dof, what = int(self.model.jnt_dofadr[joint]), f"free joint `{self.names['joint'][joint]}`"
         for field, word in (("dof_armature", "armature"), ("dof_damping", "damping"), ("dof_frictionloss", "friction")):
             value = float(np.ravel(getattr(self.model, field)[dof])[0])
@@ -235,12 +235,12 @@ class _MjcfReader:
                 self.draft.dropped(f"{word} of {what}", "what is free moves without one", f"{value:.4g}")
 
     def base_name(self, body: int) -> str:
-        """A name for the link that carries a body of the world: no body below it is called so."""
+        """Return a name for the base link of a world body that no descendant has."""
         below = {name for b, name in enumerate(self.names["body"]) if b and self.model.body_rootid[b] == body}
         return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
     def chain(self, draft: BodyDraft, body: int, parent: str, X_PB: Pose, joints: list[int]) -> None:
-        """A body with its joints; each but the last carries a link of almost no mass."""
+        """Convert a body with its joints; all joints except the last get an intermediate link of negligible mass."""
         model, name = self.model, self.names["body"][body]
         if not joints:
             draft.links[name] = self.new_link(body, name, Pose.of())
@@ -265,7 +265,7 @@ class _MjcfReader:
         self.source.owners[body] = (draft, name, X_BL)
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
-        """A joint with MuJoCo's coordinate: its zero is that of the file, whatever `ref` says."""
+        """Convert a joint with MuJoCo's coordinate: its zero is that of the file, independent of `ref`."""
         model, kinds = self.model, self.mujoco.mjtJoint
         kind, name = int(model.jnt_type[joint]), self.names["joint"][joint]
         dof, address = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
@@ -305,7 +305,7 @@ class _MjcfReader:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
     def new_link(self, body: int, name: str, X_BL: Pose) -> LinkDraft:
-        """The link of a body; its frame is at ``X_BL`` in the body's."""
+        """Return the link of a body; ``X_BL`` is the pose of its frame in the body frame."""
         model, X_LB = self.model, X_BL.inverse()
         link = LinkDraft(name, mass=float(model.body_mass[body]))
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
@@ -321,6 +321,6 @@ class _MjcfReader:
 
 
 def _symmetric(inertia: Array) -> Array:
-    """The inertia without the noise that turning leaves beside the diagonal."""
+    """Return the inertia without rounding noise of rotations in the off-diagonal elements."""
     inertia = (inertia + inertia.T) / 2
     return np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, inertia)

@@ -1,4 +1,4 @@
-"""A compiled MuJoCo model while it is read, with the names of its elements."""
+"""Compiled MuJoCo model with the names of its elements, as input of the reader."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from simfoundry.geometry.frames import Pose
 
 @dataclass(eq=False)
 class MjcfSource:
-    """The module mujoco, a model and its data at the first keyframe, and the draft that is made of them.
+    """The module mujoco, a model with its data at the first keyframe, and the resulting draft.
 
-    ``is_own`` is true for files that SimFoundry compiled. ``owners`` has by body its draft, its link, and the pose of
-    the link's frame in the body's; ``joints`` has by joint the body's draft and the joint's.
+    ``is_own`` is True for files that SimFoundry compiled. ``owners`` contains for each body its draft, its link, and
+    the pose of the link frame in the body frame; ``joints`` contains for each joint the draft of its body and its own.
     """
 
     mujoco: Any
@@ -26,7 +26,7 @@ class MjcfSource:
     joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
 
     def name(self, kind: str, number: int) -> str:
-        """Return the name of an element, empty where it has none; ``kind`` is MuJoCo's, as `body`."""
+        """Return the name of an element, empty if it has none; ``kind`` is a MuJoCo object type such as `body`."""
         return self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number) or ""
 
     def label(self, kind: str, number: int) -> str:

@@ -1,1 +1,1 @@
-"""The authors' release in: scenes of OmniGibson and their tasks."""
+"""Importer of OmniGibson scenes and their tasks from the authors' release."""

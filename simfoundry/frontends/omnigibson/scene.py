@@ -1,7 +1,7 @@
 """Read scenes of the authors' release: an OmniGibson scene JSON with its object list and URDF folders.
 
-Its traps: quaternions have w last, masses stand in the URDF only, frictions in the object list, joint positions have no
-names, and the table is an infinite plane.
+Peculiarities of the format: quaternions have w last, masses are only in the URDF, friction coefficients in the object
+list, joint positions have no names, and the table is an infinite plane.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 TABLE = (4.0, 4.0, 0.04)
-"""Size [m] of the box that stands for the plane below everything: wider than a robot reaches; its top is the plane."""
+"""Size [m] of the box that represents the ground plane: larger than the reach of a robot; its top is the plane."""
 
 ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM": "yam"}
-"""Robots of the release and their models here."""
+"""Robots of the release and the corresponding known robots."""
 
 LEVELS = 5
-"""Folders upward in which the assets are looked for: scenes lie four levels below the root of the release."""
+"""Number of parent folders that are searched for assets: scenes are four levels below the root of the release."""
 
 
 def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
@@ -44,7 +44,7 @@ def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft
 
 
 class _SceneReader:
-    """One scene file while it is read."""
+    """State of reading one scene file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.options, self.packages = path, options, options.packages
@@ -55,7 +55,7 @@ class _SceneReader:
         self.listed = self.object_list()
 
     def at(self, data: Any, *keys: str) -> dict[str, Any]:
-        """A mapping inside the file."""
+        """Return a mapping inside the file."""
         for key in keys:
             data = data.get(key) if isinstance(data, dict) else None
         if not isinstance(data, dict):
@@ -63,7 +63,7 @@ class _SceneReader:
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """The entries of `scene_objects_info.json` by name of the object."""
+        """Return the entries of `scene_objects_info.json` by object name."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:
@@ -109,7 +109,7 @@ class _SceneReader:
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """An object from its URDF, with the friction and pose from other files."""
+        """Add an object from its URDF, with friction and pose from other files."""
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
@@ -133,7 +133,7 @@ class _SceneReader:
         self.draft.bodies.append(body)
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
-        """The URDF of an object, in the folders of the release."""
+        """Return the URDF of an object in the folders of the release."""
         usd = str(args.get("usd_path") or "")
         parts = Path(usd).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
@@ -153,7 +153,7 @@ class _SceneReader:
         raise ImportRefusedError(self.path, f"the URDF of `{name}` is not found: {inside.as_posix()}", hint=hint)
 
     def scale(self, name: str, body: BodyDraft, scale: Any) -> None:
-        """Scale a body evenly; its mass stays, as in OmniGibson, where the file gives it."""
+        """Scale a body uniformly; a mass given in the file does not change, as in OmniGibson."""
         factors = [float(v) for v in scale] if isinstance(scale, list) else [float(scale or 1.0)] * 3
         if all(abs(f - 1) < 1e-9 for f in factors):
             return
@@ -186,7 +186,7 @@ class _SceneReader:
                     link.contact.friction = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
-        """Joint positions, which the file lists without names: PhysX counts joints level by level from the root."""
+        """Set the joint positions, which the file lists without names, in the breadth-first order of PhysX."""
         listed = [float(v) for v in state.get("joint_pos") or ()]
         order, todo = [], [body.root]
         while todo:
@@ -217,7 +217,7 @@ class _SceneReader:
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
     def plane(self) -> None:
-        """The infinite plane that carries everything, as a box."""
+        """Add the infinite ground plane as a box."""
         scene = (self.data.get("init_info") or {}).get("args") or {}
         info = self.data.get("ground_plane_info") or {}
         if scene.get("use_floor_plane") is False and not info:

@@ -1,4 +1,4 @@
-"""Read the authors' task YAML: goals, milestones, starts and ranges, as a task on a scene that was imported before."""
+"""Read the authors' task YAML (goals, milestones, starts, and ranges) as a task for an already imported scene."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ UNARY = {"Lifted": "Lifted", "IsGrasping": "Grasped"}
 AGENTS = ("agent", "robot", "robot0")
 
 CONTROL_HZ = 15.0
-"""Actions a second of the release's evaluation, which its task files do not state."""
+"""Control frequency [Hz] of the release's evaluation, which its task files do not specify."""
 
 HORIZON = 1000
-"""Steps of a task that states none, as the release's own default."""
+"""Default number of steps of a task in the release."""
 
 _DROPPED = {
     "robot_pose": "robots stand in the scene", "robot_xyz_randomization": "robots stand still",
@@ -58,7 +58,7 @@ def read_task(
 
 
 class _TaskReader:
-    """One task file while it is read."""
+    """State of reading one task file."""
 
     def __init__(self, path: Path, data: dict[str, Any], spec: SceneSpec, scene: Scene) -> None:
         self.path, self.data, self.scene_spec, self.scene = path, data, spec, scene
@@ -92,7 +92,7 @@ class _TaskReader:
         return TaskSpec.model_validate(rounded(data))
 
     def members(self, group: Any) -> list[str]:
-        """The objects of a group, by the names that the scene gives them; agents keep theirs."""
+        """Return the objects of a group by their names in the scene; agents keep their names."""
         out: dict[str, None] = {}
         for word in map(str, self.groups.get(str(group), [group])):
             found = ["agent"] if word in AGENTS else self.objects_called(word)
@@ -102,7 +102,7 @@ class _TaskReader:
         return list(out)
 
     def objects_called(self, word: str) -> list[str]:
-        """The objects of a name or category, or those that had the name in the release."""
+        """Return the objects with a name or category, or with that name in the release."""
 
         def matches(name: str, item: Any) -> bool:
             note = item.origin.note if item.origin is not None else None
@@ -117,7 +117,7 @@ class _TaskReader:
         return [dict(p) for p in listed]
 
     def goal(self) -> Any:
-        """All predicates together; `all` and `any` in their keys are about the objects of a group."""
+        """Return the conjunction of all predicates; `all` and `any` in their keys refer to the objects of a group."""
         if self.predicates("goal_predicates_specific"):
             message = "`goal_predicates_specific` names objects by number"
             raise self.refused(message, "write them as `goal_predicates_all`")
@@ -137,7 +137,7 @@ class _TaskReader:
         return each[0] if len(each) == 1 else {quantifier: tuple(each)}
 
     def atom(self, predicate: dict[str, Any], name: str) -> Any:
-        """One predicate about one object."""
+        """Return one predicate about one object."""
         state, is_wanted = str(predicate.get("state")), predicate.get("value", True) is not False
         others = self.members(predicate["other_group"]) if predicate.get("other_group") else []
         if predicate.get("state_kwargs"):
@@ -168,7 +168,7 @@ class _TaskReader:
         return f"Touching({robots[0]}, {item})"
 
     def subtasks(self) -> dict[str, Any]:
-        """Milestones in an order that their `requires` allow."""
+        """Return the milestones in an order that satisfies their `requires`."""
         listed, names = self.predicates("milestone_predicates"), NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()
@@ -201,7 +201,7 @@ class _TaskReader:
         return {key: value for key, value in (("place", place), ("joints", joints)) if value}
 
     def reset(self) -> dict[str, Any]:
-        """Ranges around the poses of the scene."""
+        """Return the ranges around the poses of the scene."""
         widths, turns = (self.config.get(f"group_{k}_randomization") or {} for k in ("xyz", "z_rot"))
         out: dict[str, Any] = {}
         for group in dict.fromkeys([*widths, *turns]):
@@ -218,7 +218,7 @@ class _TaskReader:
 
 
 def _texts(condition: Any) -> Iterator[str]:
-    """The predicates of a condition."""
+    """Yield the predicates of a condition."""
     if isinstance(condition, str):
         yield condition
     elif isinstance(condition, dict):

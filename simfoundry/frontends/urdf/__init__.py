@@ -1,4 +1,4 @@
-"""URDF in: single files, and folders of them that SimFoundry compiled."""
+"""URDF importer for single files and for compiled folders."""
 
 from simfoundry.frontends.urdf.reader import read_urdf
 

@@ -1,4 +1,4 @@
-"""Read a folder of URDFs that SimFoundry compiled: ``poses.json`` has their poses, each URDF one object."""
+"""Read a compiled folder of URDFs: each URDF is one object, and ``poses.json`` contains the poses."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
 _ALWAYS_THERE = ("effort limit", "velocity limit", "texture laid")
-"""Notes on content of every file of ours: limits that URDF demands, textures that its meshes name as well."""
+"""Notes that apply to every compiled file: limits that URDF requires, textures that the meshes also refer to."""
 
 TUBE, TOP, BOTTOM = "_tube", "_top", "_bottom"
-"""Suffixes of the pieces that stand for a capsule, which URDF lacks."""
+"""Suffixes of the pieces that represent a capsule, which URDF does not support."""
 
 SAME_PLACE_M = 1e-9
-"""Positions [m] that differ by less are equal but for the digits of the file."""
+"""Tolerance [m] for equal positions, which allows for rounding in the file."""
 
 
 def is_poses(path: Path) -> bool:
-    """Return whether a JSON file has the poses of URDFs."""
+    """Return True if a JSON file contains the poses of URDFs."""
     data = read_json(path)
     entries = list(data.values()) if isinstance(data, dict) else []
     return bool(entries) and all(isinstance(entry, dict) and "urdf" in entry for entry in entries)
@@ -56,7 +56,7 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
 
 
 def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], options: ImportOptions) -> BodyDraft:
-    """One URDF with the fields of its entry."""
+    """Return the body of one URDF with the fields of its entry."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
         raise ImportRefusedError(path, f"`{name}` names the file `{entry['urdf']}`, which is not in this folder")
@@ -75,7 +75,7 @@ def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], op
 
 
 def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, Any], path: Path) -> None:
-    """Join a body to the object whose loose part it is."""
+    """Attach a body to the object of which it is a free link."""
     owner = next((b for b in draft.bodies if b.name == entry["object"]), None)
     if owner is None or entry["parent"] not in owner.links:
         raise ImportRefusedError(path, f"`{body.name}` is part of `{entry['object']}`, which is not there")
@@ -86,7 +86,7 @@ def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, An
 
 
 def _with_capsules(link: LinkDraft) -> list[PartDraft]:
-    """The parts of a link, with a capsule for each cylinder and two balls that stand for one."""
+    """Return the parts of a link, with a capsule for each cylinder with two spheres that represents one."""
     by_name = {(part.name, part.use): part for part in link.parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():

@@ -1,7 +1,7 @@
-"""Read URDF: links, joints, shapes and meshes, as the specification has them, with Bullet's `<contact>`.
+"""Read URDF files: links, joints, shapes and meshes of the specification, and Bullet's `<contact>`.
 
-The XML is read here rather than by yourdfpy, which leaves out `<contact>`, capsules and planes, repairs broken XML and
-resolves entities without a word, and has no lines for findings.
+This module parses the XML itself, because yourdfpy ignores `<contact>`, capsules and planes, silently repairs broken
+XML and resolves entities, and does not provide line numbers.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 UNLIMITED_SLIDE_M = 1000.0
-"""Limits [m] of a prismatic joint without any: documents need some, and no object on a table slides a kilometre."""
+"""Limits [m] assumed for a prismatic joint without limits, because documents require them."""
 
 GROUND = (20.0, 20.0, 0.1)
-"""Size [m] of the box that stands for an infinite plane: as wide as a document allows; its top is the plane."""
+"""Size [m] of the box that represents an infinite plane: the maximum in documents; its top is the plane."""
 
 LEAST_AXIS = 1e-9
-"""Axes shorter than this have no direction."""
+"""Smallest length of an axis with a direction."""
 
 SAME_POSE = 1e-12
-"""Elements of transforms that differ by less are equal but for rounding."""
+"""Tolerance for equal elements of transforms, which allows for rounding."""
 
 _READ = {
     "robot": ("link", "joint", "material"),
@@ -54,19 +54,19 @@ _READ = {
     "contact": ("lateral_friction", "restitution", "spinning_friction", "rolling_friction", "inertia_scaling",
                 "joint_properties"),
 }  # fmt: skip
-"""Children that are read, by their parents; others are counted."""
+"""Child elements that are read, by parent; others are counted."""
 
 
 def read_urdf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
     """Read the one body of a URDF.
 
-    Raises :class:`ImportRefusedError` with the line where it cannot be read.
+    Raises :class:`ImportRefusedError` with the line if it cannot be read.
     """
     return _UrdfReader(path, options).read()
 
 
 class _UrdfReader:
-    """One file while it is read."""
+    """State of reading one file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.search = path, FileSearch(path, options.packages)
@@ -76,7 +76,7 @@ class _UrdfReader:
         self.meshes: dict[tuple[Path, Scale], MeshDraft] = {}
         self.groups: dict[tuple[Path, Scale], list[tuple[str, MeshDraft]]] = {}
         self.widths: dict[int, float] = {}
-        """By identity of a mesh, its longest side [m]."""
+        """Longest side [m] of each mesh, by identity."""
         self.materials: dict[str, Element] = {}
         for material in self.root.walk():
             name = material.get("name")
@@ -106,7 +106,7 @@ class _UrdfReader:
         return self.draft
 
     def root_link(self, links: dict[str, LinkDraft], joints: Iterable[JointDraft]) -> str:
-        """The link that no joint carries; links and joints must form one tree."""
+        """Return the link without a parent joint; links and joints must form a single tree."""
         if not links:
             raise self.root.refused("it has no link")
         children = Counter(joint.child for joint in joints)
@@ -115,7 +115,7 @@ class _UrdfReader:
         if several is not None:
             raise self.root.refused(f"link `{several}` is the child of {children[several]} joints")
         if not roots:
-            raise self.root.refused("its joints form a ring: no link is the root")
+            raise self.root.refused("its joints form a cycle: no link is the root")
         if len(roots) > 1:
             message = f"it has {len(roots)} roots: `{'`, `'.join(roots[:4])}`"
             raise self.root.refused(message, "join them by fixed joints")
@@ -126,7 +126,7 @@ class _UrdfReader:
             waiting += [joint.child for joint in joints if joint.parent == link]
         lost = next((name for name in links if name not in reached), None)
         if lost is not None:
-            raise self.root.refused(f"its joints form a ring: link `{lost}` hangs on itself")
+            raise self.root.refused(f"its joints form a cycle: link `{lost}` is its own ancestor")
         return roots[0]
 
     def link(self, element: Element) -> LinkDraft:
@@ -161,7 +161,7 @@ class _UrdfReader:
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def parts(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
-        """The pieces that a `<visual>` or `<collision>` describes: one, or the groups of an OBJ."""
+        """Yield the parts of a `<visual>` or `<collision>`: one, or one for each group of an OBJ."""
         geometry = element.first("geometry")
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
@@ -182,7 +182,7 @@ class _UrdfReader:
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
     def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
-        """A shape and its pose beyond that of its element; None, with a note, where the language has none."""
+        """Return a shape and its pose relative to its element; record an unsupported shape and return None."""
         match shape.tag:
             case "box":
                 x, y, z = shape.numbers("size", 3)
@@ -213,7 +213,7 @@ class _UrdfReader:
         return None
 
     def mesh_groups(self, shape: Element, link: str) -> list[tuple[str, MeshDraft]]:
-        """The groups of an OBJ, by name, of which each collides as a hull of its own; none where it has but one."""
+        """Return the groups of an OBJ by name, each of which collides as its own hull; empty if there is only one."""
         key = self.file_and_scale(shape)
         if key not in self.groups:
             try:
@@ -281,7 +281,7 @@ class _UrdfReader:
         return joint
 
     def set_type_and_limits(self, joint: JointDraft, element: Element) -> None:
-        """Give a joint its type in the language, and its limits."""
+        """Set the document type and the limits of a joint."""
         what, limit = f"joint `{joint.name}`", element.first("limit")
         bounds, is_stated = None, False
         if limit is not None:
@@ -334,7 +334,7 @@ class _UrdfReader:
             joint.mimic = MimicDraft(leader, mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
 
     def count_left_out(self) -> None:
-        """Count the elements that are not read, by their tags."""
+        """Count the elements that are not read, by tag."""
         for child in self.root.children:
             if child.tag not in _READ["robot"]:
                 self.left_out[f"`<{child.tag}>`"] += 1
@@ -353,7 +353,7 @@ def _origin(element: Element) -> Pose:
 
 
 def _upright(normal: Array) -> Pose:
-    """A rotation that takes z to a direction."""
+    """Return a rotation that maps z to a direction."""
     length = float(np.linalg.norm(normal))
     z = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     across = np.array([-z[1], z[0], 0.0])
@@ -373,7 +373,7 @@ def _lock(joint: JointDraft, position: float) -> None:
 
 
 def _united(visuals: list[PartDraft], colliders: list[PartDraft]) -> list[PartDraft]:
-    """Parts of both kinds; a visual and a collider of the same geometry are one part."""
+    """Merge the parts of both kinds; a visual and a collider with the same geometry become one part."""
     left, out = list(colliders), []
     for part in visuals:
         proxy = next((p for p in left if _same_geometry(p, part)), None)

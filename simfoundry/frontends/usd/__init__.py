@@ -1,1 +1,1 @@
-"""USD in: any stage as a new document, and stages compiled from a document back into it (``compiled``)."""
+"""USD importer: any stage as a new document, or a compiled stage back into its document (``compiled``)."""

@@ -1,4 +1,4 @@
-"""Read the gprims of a USD stage as parts of links: shapes with their scales, meshes, looks and physics materials."""
+"""Read the gprims of a USD stage as parts of links: scaled shapes, meshes, visual and physics materials."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 EVEN_SCALE = 1e-6
-"""Share by which scales may differ and still be one: single precision, in which stages hold them."""
+"""Relative tolerance for equal scales: stages store them in single precision."""
 
 ORTHOGONAL = 1e-5
-"""Products of unit axes up to which they are orthogonal: single precision after a few transforms."""
+"""Largest dot product of orthogonal unit axes: single precision after a few transforms."""
 
 COORDINATES = ("st", "UVMap", "st0", "uv")
-"""Names of texture coordinates: OpenUSD's own, Blender's, and those of older exporters."""
+"""Names of texture coordinates: of OpenUSD, Blender, and older exporters."""
 
 AXES = {
     "X": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
     "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "Z": np.eye(3),
 }
-"""Rotations that take z to an axis."""
+"""Rotations that map z to an axis."""
 
 
 @dataclass(frozen=True)
 class UsdSurface:
-    """A physics material: its contact parameters, and its density [kg/m^3] where it states one."""
+    """Physics material: contact parameters, and density [kg/m^3] if specified."""
 
     contact: ContactDraft
     density: float | None = None
@@ -49,7 +49,7 @@ class UsdGprims:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
 
     def part(self, prim: Any, X_LG: Array) -> PartDraft | None:
-        """Return a gprim as a part; ``X_LG`` (4, 4) takes its own units and frame to the link's, scale included."""
+        """Return a gprim as a part; ``X_LG`` (4, 4) maps its units and frame to the link frame, including scale."""
         found = self.geometry(prim, X_LG)
         if found is None:
             return None
@@ -60,7 +60,7 @@ class UsdGprims:
         return part
 
     def use(self, prim: Any) -> str:
-        """Return the use of a gprim; guides and invisible prims are not visual, and without contact of no use."""
+        """Return the use of a gprim; guides and invisible prims are not visual, and are omitted without contact."""
         geom = self.pxr.UsdGeom.Imageable(prim)
         visible = geom.ComputePurpose() in ("default", "render") and geom.ComputeVisibility() != "invisible"
         if is_collider(self.pxr, prim):
@@ -68,14 +68,14 @@ class UsdGprims:
         return "visual" if visible else "none"
 
     def geometry(self, prim: Any, X_LG: Array) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
-        """The geometry of a gprim and its pose; a scale that no primitive can have makes a mesh of it."""
+        """Return the geometry of a gprim and its pose; a scale that no primitive supports converts it to a mesh."""
         kind, scales = prim.GetTypeName(), np.linalg.norm(X_LG[:3, :3], axis=0)
         if not np.isfinite(X_LG).all() or scales.min() <= 0:
             self.draft.dropped(f"{kind} `{prim.GetPath()}`", "it is scaled to nothing")
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
-        if is_orthogonal and np.linalg.det(R_LG) < 0:  # every primitive is its own mirror image
+        if is_orthogonal and np.linalg.det(R_LG) < 0:  # all primitives are mirror-symmetric
             R_LG = R_LG @ np.diag([1.0, 1.0, -1.0])
         if is_orthogonal:
             primitive = self.primitive(prim, kind, scales)
@@ -86,7 +86,7 @@ class UsdGprims:
         return None if mesh is None else self.baked(prim, mesh, X_LG, R_LG if is_orthogonal else None)
 
     def primitive(self, prim: Any, kind: str, scales: Array) -> tuple[PrimitiveShape, Pose] | None:
-        """A gprim with its scales as a primitive, and the pose of that in its frame; None where it is none."""
+        """Return a scaled gprim as a primitive, and its pose in the gprim's frame; None if it is not a primitive."""
         match kind:
             case "Cube":
                 x, y, z = (prim.GetAttribute("size").Get() * scales).tolist()
@@ -111,7 +111,7 @@ class UsdGprims:
         return None
 
     def baked(self, prim: Any, mesh: MeshPart, X_LG: Array, R_LG: Array | None) -> tuple[MeshDraft, Pose]:
-        """A mesh with its scale baked in, and the pose that remains."""
+        """Return a mesh with its scale baked in, and the remaining pose."""
         pose = Pose.of() if R_LG is None else _pose(R_LG, X_LG[:3, 3])
         bake = np.linalg.inv(pose.matrix) @ X_LG
         vertices = np.round(mesh.vertices @ bake[:3, :3].T + bake[:3, 3], 9)
@@ -123,7 +123,7 @@ class UsdGprims:
         return mesh_of_parts([part], plain_name(prim.GetName(), "mesh")), pose
 
     def mesh(self, prim: Any) -> MeshPart | None:
-        """The triangles of a mesh in its own units; polygons are cut into fans."""
+        """Return the triangles of a mesh in its own units; polygons are triangulated as fans."""
         mesh = self.pxr.UsdGeom.Mesh(prim)
         points = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
@@ -142,7 +142,7 @@ class UsdGprims:
         return MeshPart(points[faces.reshape(-1)], np.arange(faces.size, dtype=np.int32).reshape(-1, 3), uv)
 
     def coordinates(self, prim: Any, corners: Any, faces: Any) -> Array | None:
-        """Texture coordinates of each corner, shape (3 m, 2), v up."""
+        """Return the texture coordinates of each face corner, shape (3 m, 2), v up."""
         api = self.pxr.UsdGeom.PrimvarsAPI(prim)
         found = (api.FindPrimvarWithInheritance(name) for name in COORDINATES)
         primvar = next((v for v in found if v and v.HasValue()), None)
@@ -153,7 +153,7 @@ class UsdGprims:
         return values[chosen.reshape(-1)] if len(values) > int(chosen.max()) else None
 
     def tessellated(self, prim: Any, kind: str) -> MeshPart | None:
-        """A mesh for a primitive that the language does not have, or that is scaled unevenly."""
+        """Return a mesh for a primitive that documents do not support or that is scaled non-uniformly."""
         import trimesh
 
         def value(name: str) -> float:
@@ -206,7 +206,7 @@ class UsdGprims:
         return _rgba(colors[0], float(opacity[0]) if opacity else 1.0), None
 
     def preview(self, shader: Any) -> tuple[Rgba | None, bytes | None]:
-        """Colour and texture of a UsdPreviewSurface."""
+        """Return the colour and texture of a UsdPreviewSurface."""
         diffuse, opacity = shader.GetInput("diffuseColor"), shader.GetInput("opacity")
         if not diffuse:
             return None, None
@@ -224,7 +224,7 @@ class UsdGprims:
 
 
 def is_collider(pxr: Any, prim: Any) -> bool:
-    """Return whether a gprim takes part in contact."""
+    """Return True if a gprim is collision geometry."""
     if not prim.HasAPI(pxr.UsdPhysics.CollisionAPI):
         return False
     return pxr.UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
@@ -241,7 +241,7 @@ def _is_even(scales: Array) -> bool:
 
 
 def _fans(counts: Any) -> Any:
-    """Positions in the list of corners, three for each triangle, shape (m, 3)."""
+    """Return indices into the list of face corners, three for each triangle, shape (m, 3)."""
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     per_face = np.maximum(counts - 2, 0)
     face = np.repeat(np.arange(len(counts)), per_face)
@@ -250,7 +250,7 @@ def _fans(counts: Any) -> Any:
 
 
 def _rgba(linear: Sequence[float], alpha: float) -> Rgba:
-    """A colour of ours, which is sRGB; USD's are linear."""
+    """Convert a linear USD colour to sRGB."""
     r, g, b = (srgb_of_linear(min(max(float(v), 0.0), 1.0)) for v in linear)
     return r, g, b, min(max(alpha, 0.0), 1.0)
 

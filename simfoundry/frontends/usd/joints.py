@@ -1,4 +1,4 @@
-"""UsdPhysics joints: their frames in both bodies, kind, limits, drives, damping and friction, in SI units."""
+"""Read UsdPhysics joints: frames in both bodies, type, limits, drives, damping and friction, in SI units."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from simfoundry.geometry.frames import Array, Pose
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 
 INFINITE = 1e30
-"""Limits and forces above this mean that there is none: USD writes infinity as a large number of single precision."""
+"""Limits and forces above this are infinite: USD writes infinity as a large number in single precision."""
 
 NO_LENGTH = 1e-9
-"""Quaternions shorter than this have no direction; newer versions of USD write zero for none."""
+"""Quaternions shorter than this are undefined; newer versions of USD write zero for a missing rotation."""
 
 JointEnd = tuple[str, Pose, Array]
-"""A body of a joint by its path, the frame of the joint's target in the body's, and the scale of its units."""
+"""End of a joint: path of the body, frame of the joint's target in the body frame, and scale of its units."""
 
 _FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
 _ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
@@ -33,9 +33,9 @@ _DAMPING = ("mjc:damping", "newton:damping")
 
 @dataclass
 class UsdJoint:
-    """A joint: body0 is its parent, body1 its child, until a tree reverses it.
+    """Joint with parent body0 and child body1, until the construction of a tree reverses it.
 
-    ``X_0`` and ``X_1`` are its frames in the two bodies; the axis of ``draft`` is in its own frame.
+    ``X_0`` and ``X_1`` are its frames in the two bodies; the axis of ``draft`` is in the joint frame.
     """
 
     path: str
@@ -53,7 +53,7 @@ class UsdJoint:
 def read_joint(
     draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], JointEnd], to_m: float, to_kg: float
 ) -> UsdJoint:
-    """Read a joint of the stage, whose units are ``to_m`` [m] and ``to_kg`` [kg]; what the language lacks is noted."""
+    """Read a joint of a stage with units ``to_m`` [m] and ``to_kg`` [kg]; unsupported features are recorded."""
     joint = pxr.UsdPhysics.Joint(prim)
     (parent, X_P, scale_0), (child, X_C, scale_1) = (
         end(list(r.GetTargets())) for r in (joint.GetBody0Rel(), joint.GetBody1Rel())
@@ -67,9 +67,9 @@ def read_joint(
 
 
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
-    """Return the pose of two attributes of a prim; one that is absent, and a rotation of no length, is the identity.
+    """Return the pose given by two attributes of a prim; missing values and zero rotations are the identity.
 
-    Raises :class:`ImportRefusedError` for numbers that are not finite.
+    Raises :class:`ImportRefusedError` for non-finite numbers.
     """
     p = np.array(position if position is not None else (0, 0, 0), dtype=np.float64) * scale
     q = (1.0, 0.0, 0.0, 0.0) if rotation is None else (rotation.GetReal(), *rotation.GetImaginary())
@@ -81,7 +81,7 @@ def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float
 
 @dataclass
 class _JointReader:
-    """A joint while its kind, limits and dynamics are read."""
+    """State of reading the type, limits and dynamics of a joint."""
 
     draft: ModelDraft
     pxr: Any
@@ -138,7 +138,7 @@ class _JointReader:
             self.draft.changed(self.label, f"it has no limits; {far:g} m to either side stand for that")
 
     def dynamics(self, token: str, turns: bool) -> None:
-        """Set damping, friction, armature and drive; angular quantities are per degree in the stage."""
+        """Set damping, friction, armature and drive; the stage uses angular quantities per degree."""
         prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
         force = to_kg * to_m * (to_m if turns else 1.0)
         per_unit = math.degrees(1.0) if turns else 1.0 / to_m
@@ -163,7 +163,7 @@ class _JointReader:
             joint.drive.target = float(target.Get()) * (math.radians(1.0) if turns else to_m)
 
     def six_axes(self) -> None:
-        """A joint whose axes are locked one by one: fixed, of one axis, a ball or free; any other is noted."""
+        """Convert a joint with individually locked axes: fixed, one axis, ball, or free; others are recorded."""
         free: dict[str, tuple[float | None, float | None]] = {}
         for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
             low, high = None, None
@@ -187,6 +187,6 @@ class _JointReader:
 
 
 def _first(prim: Any, names: tuple[str, ...]) -> float:
-    """The first positive of some attributes; 0 where there is none."""
+    """Return the first positive value of some attributes; 0 if there is none."""
     values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
     return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)

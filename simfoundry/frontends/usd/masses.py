@@ -1,4 +1,4 @@
-"""Masses, centres of mass and inertias of the rigid bodies of a USD stage, in SI units."""
+"""Read masses, centres of mass and inertias of rigid bodies in a USD stage, in SI units."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from simfoundry.frontends.usd.joints import attribute_pose
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 
 NOISE = 1e-9
-"""Products of inertia below this share of the trace are noise of turned axes in single precision."""
+"""Products of inertia below this fraction of the trace are noise of rotated axes in single precision."""
 
 
 @dataclass
 class UsdBody:
-    """A rigid body of the stage.
+    """Rigid body of the stage.
 
-    ``X_WB`` is its frame in the world, ``scale`` that of its units [m per unit]; ``X_BL`` is the frame of its link in
-    its own, which a joint may move.
+    ``X_WB`` is its frame in the world and ``scale`` the scale of its units [m per unit]; ``X_BL`` is the link frame in
+    the body frame, which a joint may change.
     """
 
     prim: Any
@@ -34,9 +34,9 @@ class UsdBody:
 
 
 def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
-    """Set mass properties in UsdPhysics' order: mass of the body, its density, masses and materials of its colliders.
+    """Set mass properties in the precedence of UsdPhysics: body mass, body density, collider masses and materials.
 
-    Units are those of ``geoms``.
+    Units are the same as in ``geoms``.
     """
     physics, link, to_m, to_kg = pxr.UsdPhysics, body.link, geoms.to_m, geoms.to_kg
     api = physics.MassAPI(body.prim)
@@ -62,7 +62,7 @@ def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], g
 
 
 def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
-    """Centre of mass and inertia of a body where the stage gives them, in the frame of its link."""
+    """Set the centre of mass and inertia of a body, in the link frame, if the stage specifies them."""
     link, X_LB = body.link, body.X_BL.inverse()
     com = api.GetCenterOfMassAttr().Get()
     is_given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)

@@ -1,4 +1,4 @@
-"""Read any USD stage: UsdPhysics bodies, colliders and joints, looks, cameras and lights, in SI units, z up."""
+"""Read any USD stage: UsdPhysics bodies, colliders and joints, materials, cameras and lights, in SI units, z up."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose
 
 WORLD = ""
-"""The path that stands for the world among those of bodies."""
+"""Path that represents the world among the paths of bodies."""
 
 _EXPECTED = (
     "Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset", "NodeGraph", "PhysicsCollisionGroup", "",
 )  # fmt: skip
-"""Types of prims without content of their own, or read with others."""
+"""Types of prims that have no content of their own or are read together with others."""
 
 AT_ZERO = 1e-5
-"""Positions of joints [m or rad] below this are zero but for the digits of a stage."""
+"""Joint positions [m or rad] below this are rounding errors of a stage and count as zero."""
 
 
 def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
@@ -42,7 +42,7 @@ def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
     pxr = SimpleNamespace(
         Gf=Gf, Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade
     )  # fmt: skip
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it keeps the warnings that OpenUSD would print
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it captures the warnings that OpenUSD would print
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
@@ -56,7 +56,7 @@ def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
 
 
 def _check_layers(path: Path, stage: Any) -> None:
-    """Refuse layers outside the folders of the file."""
+    """Reject layers outside the folders of the file."""
     root = FileSearch(path).root.resolve()
     for layer in stage.GetUsedLayers(includeClipLayers=True):
         place = layer.realPath
@@ -65,7 +65,7 @@ def _check_layers(path: Path, stage: Any) -> None:
 
 
 class _UsdReader:
-    """A stage on its way into a draft."""
+    """State of converting a stage to a draft."""
 
     def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
         self.path, self.pxr, self.stage = path, pxr, stage
@@ -83,7 +83,7 @@ class _UsdReader:
         self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
-        """By path of a body: its draft and its link."""
+        """Draft and link of each body, by path."""
 
     def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
@@ -137,20 +137,20 @@ class _UsdReader:
         return self.pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False
 
     def known(self, prim: Any) -> bool:
-        """Return whether a prim is read elsewhere, or has no content of its own."""
+        """Return True if a prim is read elsewhere or has no content of its own."""
         usd, lux = self.pxr.UsdGeom, self.pxr.UsdLux
         kinds = (usd.Camera, self.pxr.UsdPhysics.Joint, lux.BoundableLightBase, lux.NonboundableLightBase)
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """From the units and frame of a prim into metres in the world, z up, shape (4, 4)."""
+        """Return the transform from the units and frame of a prim to metres in the world, z up, shape (4, 4)."""
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")
         return np.asarray(self.W @ X_SP)
 
     def frame(self, prim: Any) -> tuple[Pose, Array]:
-        """The frame of a prim without its scale, and the scale [m per unit]; mirrored frames lose the mirror."""
+        """Return the frame of a prim without its scale, and the scale [m per unit]; mirroring is removed."""
         X_WP = self.matrix(prim)
         scales = np.linalg.norm(X_WP[:3, :3], axis=0)
         scales = np.where(scales > 0, scales, 1.0)
@@ -163,7 +163,7 @@ class _UsdReader:
         return Pose.from_matrix(out), scales
 
     def owner(self, prim: Any) -> UsdBody | None:
-        """The nearest rigid body above a prim, or that it is."""
+        """Return the nearest rigid body at or above a prim."""
         while prim and not prim.IsPseudoRoot():
             if str(prim.GetPath()) in self.bodies:
                 return self.bodies[str(prim.GetPath())]
@@ -185,7 +185,7 @@ class _UsdReader:
                 self.draft.changed(f"collider `{prim.GetPath()}`", "its convex hull touches", str(how))
 
     def group(self, prim: Any) -> str:
-        """The prim that a static gprim belongs to: the nearest Xform above it, or itself below the default prim."""
+        """Return the prim of a static gprim's object: the nearest parent Xform, or itself below the default prim."""
         parent = prim.GetParent()
         default = self.stage.GetDefaultPrim()
         if parent.IsPseudoRoot() or parent == default or parent.GetTypeName() == "Scope":
@@ -193,7 +193,7 @@ class _UsdReader:
         return str(parent.GetPath())
 
     def static_objects(self, statics: dict[str, list[Any]]) -> None:
-        """Fixed objects of the gprims that belong to no rigid body."""
+        """Add fixed objects for the gprims that do not belong to a rigid body."""
         for path, prims in statics.items():
             prim = self.stage.GetPrimAtPath(path)
             body = UsdBody(prim, *self.frame(prim), LinkDraft("base"))
@@ -213,7 +213,7 @@ class _UsdReader:
             yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """The body of a joint, or the world; the frame of its target there and its scale."""
+        """Return the body of a joint (or the world), the frame of the joint's target in it, and its scale."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -226,7 +226,7 @@ class _UsdReader:
         return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
 
     def trees(self, joints: list[UsdJoint]) -> None:
-        """Make one object of bodies that joints connect; joints that close a loop are noted."""
+        """Combine bodies that are connected by joints into objects; joints that close a loop are recorded."""
         left = dict(self.bodies)
         at: dict[str, list[UsdJoint]] = {}
         for joint in joints:
@@ -246,7 +246,7 @@ class _UsdReader:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
-        """One object: its root, and all that joints carry from there."""
+        """Add one object: its root and all descendants."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
         frames = {root: Pose.of()}
@@ -285,11 +285,11 @@ class _UsdReader:
     def fasten(
         self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose, frames: dict[str, Pose]
     ) -> None:
-        """Carry a child by a joint; the frame of its link moves to the joint."""
+        """Attach a child by a joint; the frame of its link moves to the joint."""
         X_CJ, drafted = joint.frame(child), joint.draft
         X_CL = Pose.of(X_CJ.p) if drafted.type != "fixed" else Pose.of()
         frames[child] = self.bodies[child].X_BL = X_CL
-        # Of a joint that carries its body0 the axis is turned about, so that its coordinate stays.
+        # If body0 is the child, the axis is reversed so that the joint coordinate is preserved.
         drafted.axis = X_CJ.rotation @ drafted.axis * (-1.0 if joint.child == parent else 1.0)
         drafted.parent, drafted.child = parent, child
         drafted.X_PC = X_PJ @ (X_CL.inverse() @ X_CJ).inverse()
@@ -300,7 +300,7 @@ class _UsdReader:
         draft.joints.append(drafted)
 
     def position(self, draft: BodyDraft, joint: JointDraft, parent: str, child: str, frames: dict[str, Pose]) -> float:
-        """The position of a joint: the motion of its child along its axis since zero."""
+        """Return the position of a joint: the motion of its child along its axis relative to zero."""
         X_WP = draft.X_WO if parent not in self.bodies else self.bodies[parent].X_WB @ frames[parent]
         moved = joint.X_PC.inverse() @ X_WP.inverse() @ self.bodies[child].X_WB @ frames[child]
         axis = joint.axis / np.linalg.norm(joint.axis)
@@ -312,7 +312,7 @@ class _UsdReader:
         return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:
-        """Name an object, its links and joints by their prims; until now they are paths, because names may repeat."""
+        """Name an object, its links and joints after their prims; until then, paths are used, as names may repeat."""
         bodies = [path for path in draft.links if path in self.bodies]
         names = {"base": "base"}
         for path in bodies:
@@ -330,19 +330,19 @@ class _UsdReader:
             taken.add(joint.name)
 
     def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
-        """By path of a body: what it became part of, and the frame of its link in the world of the stage."""
+        """Return for each body path its draft and link, and the link frame in the world of the stage."""
         return {
             path: (draft, link, self.bodies[path].X_WB @ self.bodies[path].X_BL)
             for path, (draft, link) in self.placed_links.items()
         }
 
     def object_name(self, paths: list[str]) -> str:
-        """The name of the prim that holds all bodies of an object, unless that is the stage itself."""
+        """Return the name of the common parent prim of all bodies of an object, unless it is the stage root."""
         first, *others = paths
         shared = posixpath.commonpath([posixpath.dirname(first), *others]).rpartition("/")[2]
         return shared if shared and others else str(self.bodies[first].prim.GetName())
 
     def colliders(self, body: UsdBody) -> list[Any]:
-        """The colliders of a rigid body."""
+        """Return the colliders of a rigid body."""
         below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
         return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

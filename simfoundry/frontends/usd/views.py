@@ -12,24 +12,24 @@ from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, Model
 from simfoundry.geometry.frames import Array, Pose
 
 WIDTH = 640
-"""Width [px] of the picture of a camera, of which USD gives the proportions only: that of MuJoCo's cameras."""
+"""Image width [px] of a camera, because USD specifies only the aspect ratio: the default for MuJoCo cameras."""
 
 LIGHTS = {
     "DistantLight": ("distant", math.pi),
     "SphereLight": ("point", 4 * math.pi),
     "DomeLight": ("dome", 1.0),
 }
-"""The kind of a light of UsdLux, and its intensity that lights a white surface fully; a point light does so at 1 m."""
+"""Kind of each UsdLux light, and the intensity that fully lights a white surface (at 1 m for a point light)."""
 
 BRIGHTEST = 20.0
-"""Brighter lights are meant for a camera with an exposure: those of Omniverse have thousands."""
+"""Lights brighter than this are intended for a camera with an exposure: those in Omniverse have thousands."""
 
 Matrix = Callable[[Any], Array]
 Mounts = dict[str, tuple[BodyDraft, str, Pose]]
 
 
 def _pose(X_WP: Array) -> Pose:
-    """The frame without its scale; a mirrored one is turned right."""
+    """Return the frame without its scale; mirroring is removed."""
     u, _, v = np.linalg.svd(X_WP[:3, :3])
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, X_WP[:3, 3]
@@ -37,7 +37,7 @@ def _pose(X_WP: Array) -> Pose:
 
 
 def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
-    """Add perspective cameras; those below a rigid body ride on its link."""
+    """Add perspective cameras; cameras below a rigid body are attached to its link."""
     for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
         names = ("focalLength", "horizontalAperture", "verticalAperture", "horizontalApertureOffset",
@@ -66,7 +66,7 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
 
 
 def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
-    """Add distant, sphere and dome lights; others are noted."""
+    """Add distant, sphere and dome lights; others are recorded."""
     kinds = (pxr.UsdLux.BoundableLightBase, pxr.UsdLux.NonboundableLightBase)
     for prim in (prim for prim in prims if any(prim.IsA(kind) for kind in kinds)):
         type_name, path = prim.GetTypeName(), prim.GetPath()

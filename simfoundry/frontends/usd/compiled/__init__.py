@@ -1,4 +1,4 @@
-"""Stages that were compiled from a document, and perhaps edited since, back into that document."""
+"""Conversion of compiled stages, including later edits, back to the original document."""
 
 from simfoundry.frontends.usd.compiled.loading import Imported, import_stage, import_usd, load_usd
 from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec, read_stage

@@ -1,4 +1,4 @@
-"""Prims that a person added to a compiled stage: primitives with or without physics, cameras, lights."""
+"""Prims that a user added to a compiled stage: primitives with or without physics, cameras, and lights."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
 PICTURE = (1280, 720)
-"""Size [px] of a picture without one in the stage: that of the viewports of Isaac Sim and usdview."""
+"""Default image size [px] if the stage has none: that of the viewports of Isaac Sim and usdview."""
 
 OWN_SCOPES = ("Looks", "Contacts", "Physics")
-"""Scopes of a compiled stage that hold no members."""
+"""Scopes of a compiled stage that do not contain members."""
 
 
 @dataclass
 class AddedPrims:
-    """New members by section and name, their prims, and notes on prims that could not become one."""
+    """New members by section and name, their prims, and notes on prims that could not be converted."""
 
     members: dict[str, dict[str, Any]] = field(default_factory=dict)
     prims: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class AddedPrims:
 def added_prims(
     stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any], frame: StageFrame
 ) -> AddedPrims:
-    """Return the prims beside the members at the paths ``known``, as members for the document ``data``."""
+    """Return the prims outside the members at the paths ``known`` as new members for the document ``data``."""
     out = AddedPrims()
     taken = {name for section in data.values() if isinstance(section, dict) for name in section}
     for prim in _topmost(stage, carrier, known):
@@ -62,7 +62,7 @@ def added_prims(
 
 
 def _topmost(stage: Usd.Stage, carrier: Usd.Prim, known: set[str]) -> Iterator[Usd.Prim]:
-    """The topmost prims that are bodies, shapes, cameras or lights, outside of those known."""
+    """Yield the topmost bodies, shapes, cameras and lights outside the known prims."""
     from pxr import Usd, UsdGeom, UsdLux, UsdPhysics
 
     passed = known | {str(carrier.GetPath().AppendChild(name)) for name in OWN_SCOPES}
@@ -86,7 +86,7 @@ def _member(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | S
 
 
 def _object(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | StageNote:
-    """A primitive; it is free where it is a rigid body, and collides where it, or its gprim, does."""
+    """Convert a primitive; it is free if it is a rigid body, and collides if it or its gprim does."""
     from pxr import Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
     shapes = [p for p in Usd.PrimRange(prim) if p.IsA(UsdGeom.Gprim)]
@@ -121,7 +121,7 @@ def _mass(prim: Usd.Prim, to_m: float) -> dict[str, float]:
 
 
 def _contact(shape: Usd.Prim) -> dict[str, Any]:
-    """Friction and restitution where the stage states them; `collision: none` for what is only visual."""
+    """Return friction and restitution if the stage specifies them; `collision: none` for visual shapes."""
     from pxr import UsdPhysics, UsdShade
 
     if not shape.HasAPI(UsdPhysics.CollisionAPI):

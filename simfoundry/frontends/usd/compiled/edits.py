@@ -1,4 +1,4 @@
-"""Edits of a member of a stage, as data of the document; everything else stays as it was written."""
+"""Convert edits of a stage member to document data; everything else stays as it was written."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
 MOVED_M = 1e-4
-"""Moves below this [m], and turns below ``UPRIGHT_DEG``, are none: hands in a viewer are not that steady."""
+"""Smallest translation [m] that counts as an edit; smaller ones are unintended movements in a viewer."""
 
 SINGLE = 3.4e38
-"""The greatest number of single precision."""
+"""Largest number in single precision."""
 
 ROUNDED = 2e-6
-"""Relative difference that writing in single precision and reading back may make: some units of its last place."""
+"""Relative tolerance for a round trip through single precision: a few units in the last place."""
 
 _PIECES = ("Colliders", "Visuals")
 
 _REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
-"""Prefixes of attributes that are reported where somebody adds them, unless they state the fallback."""
+"""Prefixes of attributes that are reported when added, unless they have the fallback value."""
 
 
 @dataclass(frozen=True)
 class Edited:
-    """The data of a member as the stage has it, with notes on what it cannot hold."""
+    """Data of a member according to the stage, with notes on unsupported edits."""
 
     data: dict[str, Any]
     notes: tuple[StageNote, ...]
 
 
 def edited_object(part: StageMember) -> Edited:
-    """Return an object: its pose, size, mass, surface, joints, and whether it is fixed; so for each of its variants."""
+    """Return an edited object, including its variants: pose, size, mass, surface, joints, and whether it is fixed."""
     if part.variant:
         return Edited(*edited_variants(part, _edited_one))
     return Edited(*_edited_one(part))
 
 
 def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
-    """The data of an object without variants, or of one of them, and notes."""
+    """Return the data of an object without variants, or of one variant, and notes."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
     handled |= {(link, "at") for link in links_of(part.built)[:1]}
@@ -66,7 +66,7 @@ def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...
 
 
 def edited_robot(part: StageMember) -> Edited:
-    """Return a robot: only its base can be moved."""
+    """Return an edited robot; only its base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -79,7 +79,7 @@ def edited_robot(part: StageMember) -> Edited:
 
 
 def has_moved(part: StageMember) -> bool:
-    """Return whether a member has another pose than the written one."""
+    """Return True if the pose of a member differs from the written one."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
 
@@ -93,7 +93,7 @@ def _turned(old: Pose, new: Pose) -> bool:
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
-    """Return a pose as a person writes it; the parts of the one ``before`` that still hold stay as written."""
+    """Return a pose as readable document data; parts of ``before`` that are still valid stay as written."""
     new = to_data(pose_spec(pose))
     if not isinstance(before, dict):
         return new
@@ -104,17 +104,17 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
 
 
 def differs(a: Any, b: Any) -> bool:
-    """Return whether two values differ by more than single precision and rounding."""
+    """Return True if two values differ by more than single precision and rounding."""
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
         return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
         return bool(a != b)
-    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # what is more is infinite in a stage
+    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # larger values are infinite in a stage
     return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 
 def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> Iterator[StageNote]:
-    """Yield a note for each other difference from what was written; none of them is taken over."""
+    """Yield a note for each remaining difference from the written values, which is not imported."""
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
@@ -140,7 +140,7 @@ def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> It
 
 
 def shown(value: Any) -> str:
-    """Return a value as messages show it."""
+    """Return a value formatted for messages."""
     if isinstance(value, tuple | list):
         return f"({', '.join(shown(v) for v in value)})"
     return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
@@ -157,7 +157,7 @@ def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
 
 
 def _counts(prim: Any) -> bool:
-    """Return whether a prim is a shape, a joint or a body."""
+    """Return True if a prim is a shape, a joint or a body."""
     from pxr import UsdGeom, UsdPhysics
 
     return bool(prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdPhysics.Joint) or prim.HasAPI(UsdPhysics.RigidBodyAPI))
@@ -173,7 +173,7 @@ def _pose(part: StageMember, data: dict[str, Any]) -> None:
 
 
 def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """An object that was scaled, or a primitive that was resized: colliders count before visuals."""
+    """Apply the scaling of an object or the resizing of a primitive; colliders take precedence over visuals."""
     factors = part.scale
     links = links_of(part.built)
     if links and "shape" in data:
@@ -193,7 +193,7 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _resized(part: StageMember, relative: str) -> Any:
-    """The factors of a resized primitive along its axes, shape (3,); None where there is no such prim."""
+    """Return the factors of a resized primitive along its axes, shape (3,); None if there is no such prim."""
     if relative not in part.built or relative not in part.now:
         return None
     built, now = part.built[relative], part.now[relative]
@@ -223,7 +223,7 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Colour, friction and restitution; of several pieces that of the first that changed."""
+    """Apply colour, friction and restitution; if there are several parts, those of the first that changed."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
         if now is None:
@@ -247,7 +247,7 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 
 
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
-    """A coefficient that was changed, either our own note of it or the root of it that simulators read; or None."""
+    """Return a changed coefficient, either our own copy or the square root that simulators read; None if unchanged."""
     if differs(built[1], now[1]):
         return float(short(now[1]))
     return float(short(now[0] ** 2)) if differs(built[0], now[0]) else None
@@ -269,13 +269,13 @@ def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]
 
 
 _EVEN = 1e-6
-"""Share by which factors may differ and still be one: single precision, in which stages hold them."""
+"""Relative tolerance for equal factors: stages store them in single precision."""
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """Return the changed data of an object that is stretched by ``factors`` along its axes, shape (3,).
+    """Return the changed data of an object that is scaled by ``factors`` along its axes, shape (3,).
 
-    Or else the reason why the language has no shape for the result.
+    The second value is the reason if no shape can represent the result.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:

@@ -1,4 +1,4 @@
-"""Positions of joints that a person changed: at the joint itself, or by moving what hangs on it."""
+"""Joint positions that a user changed, either at the joint or by moving its child."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import STILL
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
-"""Distance [m] and angle [rad] off its joint up to which a link counts as moved along it: hands in a viewer err so."""
+"""Tolerances [m, rad] within which a link counts as moved along its joint, because manual moves are inexact."""
 
 
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Write the joint positions of ``part`` that changed into ``data``; a joint's own word counts before its link's."""
+    """Write changed joint positions of ``part`` into ``data``; joint attributes take precedence over link poses."""
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
         found = next((name for name in values if name.startswith("state:") and name.endswith(":position")), "")
@@ -49,7 +49,7 @@ def _written(position: float, degrees: bool) -> Any:
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
-    """The link on a joint, how far it was moved along it [m or rad], and whether it left it."""
+    """Return the child link of a joint, its motion along the joint [m or rad], and whether it left the joint."""
     prim = part.prim.GetPrimAtPath(relative)
     bodies = [_target(part, prim, name) for name in ("physics:body0", "physics:body1")]
     parent, child = bodies

@@ -1,4 +1,4 @@
-"""Documents of compiled stages: loaded wherever a scene document is expected, and written by ``simfoundry import``."""
+"""Load compiled stages wherever a scene document is expected, and write their documents for ``simfoundry import``."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ KIND = "scene/1"
 
 
 def load_usd(path: Path, known: Known | None = None) -> Loaded:
-    """Read and check the scene in a stage; the findings say what is wrong, nothing is raised.
+    """Read and check the scene in a stage; errors are returned as findings, not raised.
 
-    A finding's file names the prim as USD does, ``scene.usda</World/Objects/cup>``. Files that the scene refers to are
-    looked for where its document lies, see :func:`home`.
+    The file of a finding includes the prim in USD notation, ``scene.usda</World/Objects/cup>``. Files that the scene
+    refers to are looked up relative to its document; see :func:`home`.
     """
     try:
         reading = read_stage(path)
@@ -46,7 +46,7 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
 
 
 def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
-    """A finding for each note on the stage."""
+    """Yield a finding for each note on the stage."""
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
         file = f"{path}<{note.prim}>"
@@ -54,9 +54,9 @@ def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
 
 
 def home(stage: Path, file: str) -> Path:
-    """Return the place of a stage's document: ``file`` below a folder above the stage, or below the current one.
+    """Return the path of a stage's document: ``file`` relative to a parent folder of the stage or the current folder.
 
-    Beside the stage where it is nowhere: its assets are missing then, too.
+    If it does not exist, the path is beside the stage; its assets are missing as well in that case.
     """
     folders = [*stage.absolute().parents, Path.cwd()]
     places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
@@ -65,7 +65,7 @@ def home(stage: Path, file: str) -> Path:
 
 
 def stage_document(path: Path, reading: StageReading) -> Document:
-    """Return the document of a stage; its members stand at their prims, all else in the file as a whole."""
+    """Return the document of a stage; members are located at their prims, other values in the file as a whole."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)
     return Document(str(path), "", reading.data, root, ())
@@ -83,10 +83,10 @@ def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, .
 
 @dataclass(frozen=True)
 class Imported:
-    """The text of a document; ``notes`` say what of the stage is not in it.
+    """Text of a document, with ``notes`` on content of the stage that it does not contain.
 
-    ``disputed`` are paths at which the document says something else than both the compiled stage and the edited one:
-    the stage's word stands there now.
+    ``disputed`` contains paths at which the document differed from both the compiled and the edited stage; the value of
+    the stage was used there.
     """
 
     text: str
@@ -95,10 +95,10 @@ class Imported:
 
 
 def import_usd(path: Path, original: Path | None = None, into: Path | None = None) -> Imported:
-    """The document of the stage at ``path``; where nothing was edited, the one that was compiled.
+    """Return the document of the stage at ``path``; without edits, it equals the compiled document.
 
-    With ``original``, that document with what was edited, and nothing else, otherwise: comments stay, and an overlay
-    stays one. Without, a document that stands alone in canonical form, to lie in the folder ``into``. Raises
+    With ``original``, only the edits are applied to that document: comments are kept, and an overlay remains an
+    overlay. Otherwise the result is a standalone document in canonical form for the folder ``into``. Raises
     :class:`StageError` and :class:`SpecError`.
     """
     reading = read_stage(path)
@@ -116,10 +116,10 @@ def import_usd(path: Path, original: Path | None = None, into: Path | None = Non
 
 
 def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = False) -> Imported:
-    """Write the document of the stage at ``path`` to ``out``: ``onto`` with what was edited, or one that stands alone.
+    """Write the document of the stage at ``path`` to ``out``: ``onto`` with the edits applied, or a new document.
 
-    Where ``out`` is there, it is what the edits go into, unless ``force``. Raises :class:`OutputError` where a document
-    would be written away from the files that it refers to.
+    If ``out`` exists, the edits are applied to it, unless ``force`` is set. Raises :class:`OutputError` if a document
+    would be written to another folder than the files that it refers to.
     """
     original = onto or (out if out.exists() and not force else None)
     if original is not None and original.absolute().parent != out.absolute().parent:

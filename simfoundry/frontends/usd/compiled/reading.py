@@ -1,7 +1,7 @@
-"""Read a stage that was compiled from a document, and perhaps edited since, as that document.
+"""Read a compiled stage, including later edits, as its document.
 
-What nobody touched comes back as it was written; where the stage differs from what was written, the stage counts.
-:class:`~simfoundry.frontends.usd.compiled.stage_frame.StageFrame` finds the units of a stage that includes ours.
+Unedited values are returned as they were written; if the stage differs from the written values, the stage wins.
+:class:`~simfoundry.frontends.usd.compiled.stage_frame.StageFrame` determines the units if another stage includes it.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Data = dict[str, Any]
 
 @dataclass(frozen=True)
 class StageReading:
-    """A stage as a document.
+    """Stage as a document.
 
-    ``data`` is its present content and ``before`` the compiled one, both whole and without defaults; of deleted members
-    ``before`` has only the name. ``file`` is the path of the document in its project. ``renamed`` has the new names by
-    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` are on
-    content of the stage that is not in ``data``.
+    ``data`` is its current content and ``before`` the compiled content, both complete and without defaults; for deleted
+    members, ``before`` contains only the name. ``file`` is the path of the document in its project. ``renamed``
+    contains new names by section and old name, and ``prims`` the prim path of each member by section and name.
+    ``notes`` describe content of the stage that is not in ``data``.
     """
 
     data: Data
@@ -48,7 +48,7 @@ class StageReading:
 
 
 def read_stage(path: Path) -> StageReading:
-    """Read a stage; raises :class:`StageError` where there is none, or none that was compiled from a document."""
+    """Read a stage; raises :class:`StageError` if it does not exist or was not compiled from a document."""
     stage = open_stage(path)
     try:
         reading = read_spec(stage)
@@ -60,7 +60,7 @@ def read_stage(path: Path) -> StageReading:
 
 
 def read_spec(stage: Usd.Stage) -> StageReading | None:
-    """Return the present document of a stage; None where the stage was not compiled from one."""
+    """Return the current document of a stage; None if the stage was not compiled from one."""
     prim = carrier(stage)
     if prim is None:
         return None
@@ -86,7 +86,7 @@ def read_spec(stage: Usd.Stage) -> StageReading | None:
 
 
 def _had(written: Data, section: str, name: str) -> bool:
-    """Return whether a member had a prim of its own, and may have been deleted."""
+    """Return True if a member had its own prim and may therefore have been deleted."""
     return bool(written.get(section, {}).get(name, {}) is None)
 
 
@@ -96,7 +96,7 @@ Members = dict[tuple[str, str], StageMember]
 def _identified(
     found: list[StageMember], written: Data
 ) -> tuple[Members, dict[tuple[str, str], str], dict[str, StageMember]]:
-    """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
+    """Return parts by section and original name, new names by the same keys, and copies by name."""
     members: Members = {}
     for part in sorted(found, key=_identity_rank):
         if written.get(part.section, {}).get(part.name, part) is None:
@@ -132,7 +132,7 @@ def _edited(part: StageMember) -> Edited:
 
 
 def _compiled(written: Data, members: Members) -> Data:
-    """The document as it was compiled; deleted members are there by name."""
+    """Return the document as it was compiled; deleted members are listed by name."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict) and None in names.values():
@@ -148,7 +148,7 @@ def _joined(
     edited: Mapping[tuple[str, str], Edited],
     copies: dict[str, StageMember],
 ) -> Data:
-    """The document with the data of its members, in its order, copies behind, deleted ones left out."""
+    """Return the document with the data of its members in order, followed by copies and without deleted members."""
     out = dict(written)
     for section, members in written.items():
         if isinstance(members, dict) and None in members.values():
@@ -168,9 +168,9 @@ def _placed(
     copies: Mapping[str, StageMember],
     gone: set[str],
 ) -> Data:
-    """The document with the poses of the stage.
+    """Return the document with the poses of the stage.
 
-    A placement stays while its anchors stand still; else it would be solved into another pose than the stage's.
+    A placement is kept if its anchors did not move; otherwise it would resolve to a pose other than that of the stage.
     """
     out = dict(data)
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
@@ -199,25 +199,25 @@ def _placed(
 
 
 def _changed(part: StageMember, data: Data) -> bool:
-    """Return whether objects placed on this one would get other poses than before."""
+    """Return True if objects placed relative to this one would get different poses than before."""
     return has_moved(part) or _resized(part, data)
 
 
 def _resized(part: StageMember, data: Data) -> bool:
-    """Return whether an object has another shape, or other joints; choosing another variant is no such edit."""
+    """Return True if the shape or the joints of an object changed; selecting another variant does not count."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 
 
 def _only_along(part: StageMember, data: Data) -> bool:
-    """Return whether an object was only shifted horizontally, so that positions in the world on top of it stay."""
+    """Return True if an object was only shifted horizontally, so that world positions on top of it remain valid."""
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
 
 
 def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
-    """Gravity into ``data`` where somebody changed it."""
+    """Write gravity into ``data`` if it was changed."""
     physics = prim.GetChild("Physics")
     direction, magnitude = (
         physics.GetAttribute(f"physics:gravity{name}").Get() if physics else None for name in ("Direction", "Magnitude")
@@ -227,7 +227,7 @@ def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)
     old = data.get("gravity", (0.0, 0.0, -9.81))
     kept = [v for v in (gravity, world.gravity(gravity)) if np.abs(v - old).max() <= 1e-5 * max(1.0, np.abs(old).max())]
-    if not kept:  # neither as it was written nor the same in the units of the stage
+    if not kept:  # neither the written value nor the same in the units of the stage
         gravity = world.gravity(gravity)
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
 

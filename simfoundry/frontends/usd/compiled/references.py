@@ -1,4 +1,4 @@
-"""References between members of a document, when one of them is renamed or deleted."""
+"""Update references between members of a document after renames and deletions."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
 
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
-    """Return the document with renamed members: ``names`` has the new names by section and old name."""
+    """Return the document with renamed members; ``names`` contains new names by section and old name."""
     renames = [Rename((section,), old, new) for (section, old), new in names.items()]
     out: Data = with_new_names(data, renames)
     return out
 
 
 def without(data: Data, gone: Set[str]) -> Data:
-    """Return the document without references to deleted members in relations, viewpoint and silenced warnings.
+    """Return the document without references to deleted members in relations, viewpoint, and silenced warnings.
 
-    Placements and mounts on them stay for the caller to replace.
+    Placements and mounts on them remain; the caller must replace them.
     """
     out = dict(data)
     if isinstance(out.get("relations"), tuple):

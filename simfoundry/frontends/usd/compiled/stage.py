@@ -1,4 +1,4 @@
-"""A compiled stage: its document, its members, and the present values of their prims."""
+"""Compiled stages: the document, its members, and the current values of their prims."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
 VARIANTS = "variant"
-"""The variant set of an object."""
+"""Name of the variant set of an object."""
 
 UNKNOWN = "?"
-"""Stands for the name of a variant that was not compiled; no name is spelled so."""
+"""Placeholder for the name of a variant that was not compiled; not a valid name."""
 
 _BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
-"""The relationships behind what :func:`_now` says of materials."""
+"""Relationships that determine the materials in :func:`_now`."""
 
 Values = dict[str, dict[str, Any]]
-"""Values by the path of a prim relative to its part, and there by name."""
+"""Values by prim path relative to the part, then by name."""
 
 
 class StageError(SimfoundryError):
-    """A file that holds no stage, or none that can be read as a document; ``reason`` does not name the file."""
+    """Error for a file that is not a stage or cannot be read as a document; ``reason`` omits the file name."""
 
     def __init__(self, reason: str, file: Path | None = None) -> None:
         super().__init__(reason if file is None else f"{file}: {reason}")
@@ -46,12 +46,12 @@ class StageError(SimfoundryError):
 
 @dataclass(frozen=True)
 class StageMember:
-    """A member of a section of the document, with the prim that stands for it.
+    """Member of a section of the document, with the prim that represents it.
 
-    ``spec`` is its data, ``built`` has the values of its prims when they were written and ``now`` the present ones.
-    ``X_WP`` is its pose in the world and ``scale`` the factors along its axes, shape (3,). Of an object with variants
-    this is all of the ``variant`` that is selected; ``others`` are the object as each of the others, where only that
-    one's own opinions count as edits. ``variant`` is a question mark where the selected one was not compiled.
+    ``spec`` is its data; ``built`` contains the values of its prims when they were written, ``now`` the current ones.
+    ``X_WP`` is its pose in the world and ``scale`` contains the factors along its axes, shape (3,). For an object with
+    variants, these describe the selected ``variant``; ``others`` describe the remaining variants, for which only the
+    variant's own opinions count as edits. ``variant`` is a question mark if the selected one was not compiled.
     """
 
     section: str
@@ -65,20 +65,20 @@ class StageMember:
     variant: str = ""
     others: tuple[StageMember, ...] = ()
     stage: Usd.Stage | None = None
-    """The stage of ``prim``, which holds it only weakly."""
+    """Stage of ``prim``, stored because the prim only has a weak reference to it."""
 
     @property
     def path(self) -> str:
-        """The path of its prim."""
+        """Return the path of its prim."""
         return str(self.prim.GetPath())
 
     @property
     def X_WP_built(self) -> Pose:
-        """Its pose when it was written."""
+        """Return its pose when it was written."""
         return self.at("")[0]
 
     def at(self, relative: str) -> tuple[Pose, Array]:
-        """Pose and scale of a prim of it, in the prim above, when it was written."""
+        """Return the pose and scale of one of its prims in the parent prim when it was written."""
         return placed(self.built.get(relative, {}).get("at"))
 
 
@@ -96,7 +96,7 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def error_text(error: Exception) -> str:
-    """Return the text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
+    """Return the text of an OpenUSD error, which may quote non-UTF-8 content of the file."""
     try:
         return str(error)
     except UnicodeDecodeError as undecoded:
@@ -104,19 +104,19 @@ def error_text(error: Exception) -> str:
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:
-    """Return the prim that holds the document: the default prim, or else the first that does."""
+    """Return the prim that contains the document: the default prim, or else the first one found."""
     prims = [stage.GetDefaultPrim(), *stage.Traverse()]
     return next((p for p in prims if p and "document" in _entries(p)), None)
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """Return the file of a document, in its project, and its data without those of its members."""
+    """Return the path of a document in its project, and its data without those of its members."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
 def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
-    """Return every active member, wherever it is by now, in the order of the stage."""
+    """Return all active members, even if they were moved in the hierarchy, in stage order."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
@@ -125,7 +125,7 @@ def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
 def _other_variants(
     stage: Usd.Stage, varied: list[StageMember], world: StageFrame
 ) -> dict[str, tuple[StageMember, ...]]:
-    """The members as each variant that is not selected, by path; each stage selects one variant of all of them."""
+    """Return the members for each unselected variant, by path; each stage selects one variant for all of them."""
     from pxr import Sdf, Usd
 
     rest: dict[str, list[str]] = {}
@@ -149,12 +149,12 @@ def _other_variants(
 
 
 def _own_opinions(part: StageMember) -> Values:
-    """The values of a variant's prims; those that come from outside the variant count as built."""
+    """Return the values of a variant's prims; values from outside the variant count as built."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built, now_values = part.built.get(relative), part.now.get(relative)
-        if now_values is None:  # deleted; where that was done to all variants, it is no word about this one
+        if now_values is None:  # deleted; if this applies to all variants, it is not an edit of this one
             verdicts = [spec for spec in prim.GetPrimStack() if spec.HasInfo("active")] if prim else []
             if built is not None and verdicts and not _in_variant(verdicts[0]):
                 now[relative] = built
@@ -165,7 +165,7 @@ def _own_opinions(part: StageMember) -> Values:
 
 
 def _is_own(prim: Usd.Prim, name: str) -> bool:
-    """Return whether the strongest opinion on a value of :func:`_now` is that of a variant; a lacking one is."""
+    """Return True if the strongest opinion on a value of :func:`_now` comes from a variant, or if there is none."""
     from pxr import Usd, UsdGeom
 
     if name == "at":
@@ -182,14 +182,14 @@ def _in_variant(spec: Any) -> bool:
 
 
 def placed(at: list[float] | None) -> tuple[Pose, Array]:
-    """Pose and scale of ten numbers."""
+    """Return the pose and scale encoded as ten numbers."""
     if at is None:
         return Pose.of(), np.ones(3)
     return Pose.of(at[:3], at[3:7]), np.array(at[7:])
 
 
 def factored(matrix: Any) -> tuple[Pose, Array]:
-    """Pose and scale of a transform of USD, which multiplies row vectors.
+    """Return the pose and scale of a USD transform, which multiplies row vectors.
 
     A mirrored axis counts as a negative scale along z. A prim that was flattened to nothing has no rotation left.
     """
@@ -206,7 +206,7 @@ def factored(matrix: Any) -> tuple[Pose, Array]:
 
 
 def links_of(built: Values) -> list[str]:
-    """The relative paths of the links of an object, as it was written, the root first."""
+    """Return the relative paths of the links of an object as it was written, root first."""
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
@@ -215,11 +215,11 @@ def _part(prim: Usd.Prim, world: StageFrame) -> StageMember:
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
     spec = with_present_keys(SceneSpec.model_fields[section].annotation, {name: _json(prim, "spec")})[name]
-    if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
+    if spec.get("variants") and "variant" not in _entries(prim):  # added by hand
         return StageMember(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
     built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
-    root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
+    root = prim.GetChild(links[0]) if links else prim  # simulators move the body, users move the object
     X_WP, scale = factored(world.matrix(root or prim))
     variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
     return StageMember(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
@@ -231,7 +231,7 @@ def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
 
 
 def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
-    """A mapping that the metadata of a prim hold as JSON."""
+    """Return a mapping from the JSON metadata of a prim."""
     try:
         data = _tuples(json.loads(str(_entries(prim)[key])))
         if not isinstance(data, dict):
@@ -260,18 +260,18 @@ def _checked_values(data: dict[str, Any]) -> None:
 
 
 def _tuples(data: Any) -> Any:
-    """The same with tuples for lists, as documents have them."""
+    """Replace lists by tuples, as in documents."""
     if isinstance(data, dict):
         return {key: _tuples(value) for key, value in data.items()}
     return tuple(_tuples(value) for value in data) if isinstance(data, list) else data
 
 
 def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
-    """The present values of a member's prims, in the terms of :mod:`simfoundry.backends.usd.source`."""
+    """Return the current values of a member's prims, in the format of :mod:`simfoundry.backends.usd.source`."""
     from pxr import Usd, UsdGeom
 
     values: Values = {}
-    robot = str(_entries(part)["part"]).startswith("robots.")  # its model is its own, and large
+    robot = str(_entries(part)["part"]).startswith("robots.")  # its model is separate and large
     known = [part, *(part.GetPrimAtPath(path) for path in built if path)]
     for prim in [p for p in known if p] if robot else Usd.PrimRange(part):
         relative = "" if prim == part else str(prim.GetPath().MakeRelativePath(part.GetPath()))
@@ -285,19 +285,19 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
 
 
 def _attributes(prim: Usd.Prim) -> dict[str, Any]:
-    """The values of a prim that are written, by name; of animated ones the first."""
+    """Return the authored values of a prim by name; for animated ones, the first value."""
     from pxr import Usd
 
     return {a.GetName(): a.Get(Usd.TimeCode.EarliestTime()) for a in prim.GetAuthoredAttributes() if a.HasValue()}
 
 
 def fallback(prim: Usd.Prim, name: str) -> Any:
-    """Return the fallback of an attribute as plain data; None where its schemas are not known."""
+    """Return the fallback of an attribute as plain data; None if its schemas are unknown."""
     return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """The look and contact material of a shape, where it was ``built`` with some."""
+    """Return the visual and contact material of a shape if it was ``built`` with them."""
     from pxr import UsdShade
 
     now_values: dict[str, Any] = {}
@@ -314,7 +314,7 @@ def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_own(material: dict[str, Any]) -> dict[str, Any]:
-    """A contact material with the surface's own coefficients, which those of others do not have."""
+    """Return a contact material with the surface's own coefficients, which foreign materials do not have."""
     out = dict(material)
     for name, mode in (("friction", "frictionCombineMode"), ("restitution", "restitutionCombineMode")):
         value = plain(material.get("physics:dynamicFriction" if name == "friction" else "physics:restitution", 0.0))

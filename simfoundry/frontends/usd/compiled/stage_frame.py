@@ -1,4 +1,4 @@
-"""The world of a stage in metres and z up, whatever units it has and however ours was taken into it."""
+"""World frame of a stage in metres with z up, for any stage units and any way of including a compiled stage."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from pxr import Usd
 
 SAME_SIZE = 1e-4
-"""Share by which the scale of a corrective transform may miss the unit: inches are often written as 0.0254 or 39.37."""
+"""Relative tolerance of the scale of a corrective transform: inches are often written as 0.0254 or 39.37."""
 
 UPRIGHT_COS = 0.99
-"""Cosine of the angle (8 degrees) up to which what a person tilted still counts as standing upright."""
+"""Cosine of the largest tilt (8 degrees) that still counts as upright."""
 
 Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-"""The rotation from a frame with y up to one with z up."""
+"""Rotation from a frame with y up to one with z up."""
 
 
 class StageFrame:
-    """Transforms of prims into the world in metres and z up; the earliest time counts.
+    """Transforms of prims to the world frame in metres with z up, at the earliest time.
 
-    A layer on top of a compiled stage keeps its numbers, which are metres, whatever the layer declares. A stage of
-    other units or another up axis that takes ours in has to correct for that by a transform above it. So what the
-    transform of the document's prim is tells which of the two it is.
+    A layer on top of a compiled stage keeps its numbers, which are metres, even if the layer declares other units. A
+    stage with other units or another up axis that references a compiled stage has to correct for that with a parent
+    transform. The transform of the document's prim therefore distinguishes the two cases.
     """
 
     def __init__(self, stage: Usd.Stage, carrier: Usd.Prim) -> None:
@@ -37,15 +37,15 @@ class StageFrame:
         self.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         self.to_m = 1.0
         self.X_WS = np.eye(4)
-        """From the frame and unit of the stage into the world, shape (4, 4)."""
+        """Transform from the frame and units of the stage to the world, shape (4, 4)."""
         self._choose(stage, np.array(self.cache.GetLocalToWorldTransform(carrier), dtype=np.float64).T, carrier)
 
     def matrix(self, prim: Usd.Prim) -> Array:
-        """From the frame of a prim into the world, for row vectors as USD has them, shape (4, 4)."""
+        """Return the transform from the frame of a prim to the world, for row vectors as in USD, shape (4, 4)."""
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
 
     def anew(self) -> StageFrame:
-        """The same for a stage that differs in its session layer only: nothing of the transforms is remembered."""
+        """Return a copy without cached transforms, for a stage that differs only in its session layer."""
         from pxr import Usd, UsdGeom
 
         other = copy(self)
@@ -53,11 +53,11 @@ class StageFrame:
         return other
 
     def gravity(self, vector: Array) -> Array:
-        """An acceleration of the stage [m/s^2]."""
+        """Convert an acceleration of the stage to [m/s^2]."""
         return np.asarray(self.X_WS[:3, :3] @ vector)
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
-        """Take the numbers as metres or as units of the stage, whichever leaves the document's prim its size."""
+        """Interpret numbers as metres or as stage units, whichever preserves the size of the document's prim."""
         from pxr import UsdGeom
 
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))
@@ -76,17 +76,17 @@ class StageFrame:
         if as_declared is not None and (as_metres is None or turned):
             declared[:3, :3] /= as_declared
             self.X_WS, self.to_m = declared, unit
-        elif as_declared is None and as_metres is None and turned:  # in metres, and scaled on purpose
+        elif as_declared is None and as_metres is None and turned:  # in metres and scaled intentionally
             self.X_WS = declared
 
 
 def _scale(X_WC: Array) -> float | None:
-    """The scale of a transform that keeps the size, which is close to 1; None of one that does not."""
+    """Return the scale of a size-preserving transform, which is close to 1; None for other transforms."""
     scale = factored(X_WC.T)[1]
     return float(scale.mean()) if bool(np.abs(scale - 1.0).max() <= SAME_SIZE) else None
 
 
 def _is_upright(X_WC: Array) -> bool:
-    """Return whether z of the document is up in the world."""
+    """Return True if the z axis of the document points up in the world."""
     z = X_WC[:3, 2]
     return bool(z[2] >= UPRIGHT_COS * float(np.linalg.norm(z)))

@@ -1,4 +1,4 @@
-"""Numbers, colours and names of a stage as people write them."""
+"""Conversion of numbers, colours and names in a stage to readable document values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simfoundry.frontends.draft import free_name
 
 @dataclass(frozen=True)
 class StageNote:
-    """Content of a stage that the document cannot hold: the path of the prim, the fact, and the remedy."""
+    """Note on content of a stage that the document cannot express: prim path, message, and remedy."""
 
     prim: str
     message: str
@@ -20,7 +20,7 @@ class StageNote:
 
 
 def short(value: Any) -> Any:
-    """Return data with the shortest numbers equal in single precision, which USD keeps: 0.31, not 0.310000002."""
+    """Return data with the shortest numbers that are equal in single precision: 0.31, not 0.310000002."""
     if isinstance(value, dict):
         return {key: short(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -29,12 +29,12 @@ def short(value: Any) -> Any:
 
 
 def srgb(linear: Iterable[float]) -> tuple[float, ...]:
-    """Return a colour as displayed, each channel to three digits, of scene-linear red, green and blue."""
+    """Convert scene-linear red, green and blue to a display colour with three digits per channel."""
     return tuple(round(srgb_of_linear(min(max(float(v), 0.0), 1.0)), 3) for v in linear)
 
 
 def as_name(text: str, taken: Iterable[str]) -> str:
-    """Return a name of the language for a prim, which none of ``taken`` has."""
+    """Return a valid document name for a prim that is not in ``taken``."""
     word = "".join(c if c.isascii() and c.isalnum() else "_" for c in text.lower()).strip("_")
     word = word[:60] if word[:1].isalpha() else f"thing_{word}"[:60].rstrip("_")
     return free_name(word, set(taken))

@@ -1,4 +1,4 @@
-"""Objects with variants: which of them the stage has selected, and what was edited in each."""
+"""Objects with variants: the variant that the stage selects, and the edits of each variant."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ Data = dict[str, Any]
 Edit = Callable[[StageMember], tuple[Data, tuple[StageNote, ...]]]
 
 OF_OBJECT = ("pose", "place", "fixed", "joints")
-"""Keys that an object has and its variants have not."""
+"""Keys of an object that its variants do not have."""
 
 _STILL = 1e-9
-"""Positions [m] and parts of quaternions that differ by less were written by nobody: a stage has nine digits."""
+"""Tolerance for equal positions [m] and quaternion components: a stage has nine digits."""
 
 
 def variant_data(data: Data, variant: str) -> Data:
-    """The data of an object as its ``variant`` has it, without variants; the data itself where there is no such."""
+    """Return the data of the ``variant`` of an object, without variants; the data itself if it does not exist."""
     if not variant or variant == UNKNOWN:
         return data
     return to_data(variant_of(ObjectSpec.model_validate(data), variant))
 
 
 def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNote, ...]]:
-    """The data of an object with variants, and what of the stage they cannot say; ``edit`` reads one of them.
+    """Return the data of an object with variants, and notes on unsupported edits; ``edit`` reads one variant.
 
-    What was written on the object itself, over all its variants, counts for the one that is selected.
+    Opinions on the object itself, which override all variants, count for the selected variant.
     """
     spec = part.spec
     names = [DEFAULT_VARIANT, *spec["variants"]]
@@ -62,7 +62,7 @@ def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNot
 
 
 def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, list[StageNote]]:
-    """An edited variant as it was written where only its object has a word: all of them stand in one place."""
+    """Return an edited variant with the original pose, because all variants share the pose of their object."""
     data = {key: value for key, value in after.items() if key not in OF_OBJECT}
     data |= {key: value for key, value in before.items() if key in OF_OBJECT}
     paths = ["", *links_of(one.built)[:1]]
@@ -79,7 +79,7 @@ def _apart(built: Data, now: Data) -> bool:
 
 
 def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
-    """``data`` in which the variant ``name`` became ``after``: on the object itself where that is what it is."""
+    """Return ``data`` with the variant ``name`` changed to ``after``; the default variant is the object itself."""
     changed = [key for key in dict.fromkeys((*before, *after)) if before.get(key) != after.get(key)]
     own = [key for key in changed if name != DEFAULT_VARIANT and key not in OF_OBJECT]
     out = {key: value for key, value in data.items() if key not in changed or key in own}
@@ -88,7 +88,7 @@ def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
         return out
     inherited = variant_data(out, name)
     variant = {key: value for key, value in out["variants"][name].items() if key not in own}
-    # A variant that states a geometry comes without what belongs to the object's: that has to be stated, too.
+    # A variant with its own geometry does not inherit geometry fields of the object, so they must be written as well.
     stated = [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]
     for key in stated:
         if key in after and (key in OF_GEOMETRY or after[key] != inherited.get(key)):

@@ -1,4 +1,4 @@
-"""Cameras and lights of a stage, as data of the document."""
+"""Convert cameras and lights of a stage to document data."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ LENS = (
     "verticalApertureOffset",
 )
 UPRIGHT_RAD = 1e-3
-"""A picture that leans less than this is written with `look_at`, which keeps it upright."""
+"""Largest roll of a camera that is written with `look_at`, which keeps the image upright."""
 
 
 def edited_camera(part: StageMember) -> Edited:
-    """Return a camera: its pose and its lens."""
+    """Return an edited camera: pose and intrinsics."""
     data = dict(part.spec)
     handled = {("", name) for name in LENS}
     built, now = part.built.get("", {}), part.now[""]
@@ -40,7 +40,7 @@ def edited_camera(part: StageMember) -> Edited:
 
 
 def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
-    """Size [px], focal lengths and principal point [px] of a camera's values, to a thousandth of a pixel."""
+    """Return the size, focal lengths, and principal point [px] of a camera, to a thousandth of a pixel."""
     focal, across, up = (float(values[n]) for n in ("focalLength", "horizontalAperture", "verticalAperture"))
     width, height = (int(v) for v in values.get("simfoundry:resolution", built["simfoundry:resolution"]))
     right, above = (float(values.get(n, 0.0)) for n in ("horizontalApertureOffset", "verticalApertureOffset"))
@@ -54,9 +54,9 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 
 
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
-    """The pose of a camera (OpenCV's axes) as a person writes it: with `look_at` where the picture is upright.
+    """Return the pose of a camera (OpenCV axes) as readable data, with `look_at` if the image is upright.
 
-    The point looked at is as far away as the one that was written before, or a metre.
+    The target point has the same distance as in the previous text, or one metre.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -69,7 +69,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """Return a light: its intensity, colour, and position or direction."""
+    """Return an edited light: intensity, colour, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
@@ -90,13 +90,13 @@ def edited_light(part: StageMember) -> Edited:
 
 
 def light_type(type_name: str) -> LightType | None:
-    """The kind of a light prim, None for one that scenes do not have."""
+    """Return the kind of a light prim; None for unsupported kinds."""
     kinds = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
     return kinds.get(type_name)
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
-    """Return the position of a point light or the direction of a distant one; nothing for a dome."""
+    """Return the position of a point light or the direction of a distant light; empty for a dome light."""
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}

@@ -1,4 +1,4 @@
-"""Write edits of a stage into the text of its document: comments, order and overlays stay."""
+"""Write edits of a stage into the text of its document, preserving comments, order and overlays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NOTHING = object()
 
 @dataclass(frozen=True)
 class Edit:
-    """One value that is otherwise: what was there and what is there now, ``NOTHING`` where it is absent."""
+    """One changed value: old and new value, ``NOTHING`` if absent."""
 
     path: Path_
     old: Any
@@ -37,7 +37,7 @@ class Edit:
 
 @dataclass(frozen=True)
 class Written:
-    """A document with edits in it, by its name; ``disputed`` are the paths at which it said something of its own."""
+    """Document with edits applied; ``disputed`` contains the paths at which it had changed independently."""
 
     name: str
     text: str
@@ -45,7 +45,7 @@ class Written:
 
 
 def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
-    """Return the edits that turn ``old`` into ``new``: members of mappings one by one, all else whole."""
+    """Return the edits that turn ``old`` into ``new``: mappings member by member, other values as a whole."""
     found: list[Edit] = []
     for key in dict.fromkeys((*old, *new)):
         a, b = old.get(key, NOTHING), new.get(key, NOTHING)
@@ -57,10 +57,10 @@ def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
 
 
 def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str], str]) -> Written:
-    """The text of the document at ``path`` in which ``old`` became ``new``.
+    """Return the text of the document at ``path`` with the changes from ``old`` to ``new``.
 
-    ``names`` are new names by section and old name. An overlay stays one: it gets what differs, and ``null`` for what
-    its base has and the edit removes. Raises :class:`SpecError` where the document cannot be read.
+    ``names`` are new names by section and old name. An overlay remains an overlay: it gets only the differences, and
+    ``null`` for removed values of its base. Raises :class:`SpecError` if the document cannot be read.
     """
     try:
         document = read(path)
@@ -89,7 +89,7 @@ def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str
 
 
 def _base(path: Path, bases: list[Path]) -> Data:
-    """The flattened base of the document at ``path``; empty where it extends nothing."""
+    """Return the flattened base of the document at ``path``; empty if it extends nothing."""
     if not bases:
         return {}
     from simfoundry.spec.load import load
@@ -99,7 +99,7 @@ def _base(path: Path, bases: list[Path]) -> Data:
 
 
 def _other(there: Any, old: Any) -> bool:
-    """Return whether a document differs from what was compiled of it."""
+    """Return True if a document differs from its compiled content."""
     if old is NOTHING:
         return True
     if isinstance(there, dict) and isinstance(old, dict):
@@ -116,7 +116,7 @@ def _at(data: Any, path: Path_) -> Any:
 
 
 def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Data:
-    """The data at ``above`` of a document, which may extend ``base`` there, with ``value`` at ``path`` below."""
+    """Return the data at ``above`` of a document, which may extend ``base`` there, with ``value`` at ``path`` below."""
     key, below = path[0], path[1:]
     inherited = base.get(key, NOTHING) if isinstance(base, dict) else NOTHING
     out = dict(data)
@@ -140,13 +140,13 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 
 def _rivals(key: str, above: Path_) -> set[str]:
-    """The keys that ``key`` takes the place of; none in a mapping by name."""
+    """Return the keys that ``key`` replaces; empty for a named mapping."""
     rivals = {k for group in EXCLUSIVE if key in group for k in group} - {key}
     return rivals if rivals and models_at(SceneSpec, above) else set()
 
 
 def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
-    """The tree with members called otherwise, each with its comments."""
+    """Return the tree with renamed members, each with its comments."""
     sections = {}
     for section, child in tree.value.items():
         if isinstance(child.value, dict):
