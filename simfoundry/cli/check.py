@@ -57,7 +57,7 @@ def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> i
 
         click.echo(summary(report))
     if form == "text" and report.findings and sys.stdout.isatty():
-        click.echo(f"`simfoundry explain {report.findings[0].code}` says more")
+        click.echo(f"run `simfoundry explain {report.findings[0].code}` for details")
     return FINDINGS if report.findings else DONE
 
 

@@ -47,7 +47,7 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
             worst = max(motions, key=lambda m: m.moved)
             turned = max(m.turned_deg for m in motions)
             click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
-    click.echo("\ntask of an arm")
+    click.echo("\ntask with a robot arm")
     if arm.task is None:
         click.echo(f"not run: {arm.reason}")
     elif arm.success:

@@ -48,5 +48,5 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
         print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
     else:
         for note in export.notes:
-            click.echo(f"not the same: {note}", err=True)
+            click.echo(f"differs from the task: {note}", err=True)
     return FINDINGS if strict and export.notes else DONE

@@ -35,7 +35,7 @@ HEADINGS = {
 )  # fmt: skip
 @click.option(
     "--scene", type=FILE,
-    help="Import a task for this scene.",
+    help="Scene of the task to import.",
 )  # fmt: skip
 @click.option(
     "--onto", type=FILE,
@@ -111,7 +111,7 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     else:
         click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "nothing to change"))
         for note in imported.notes:
-            click.echo(f"  not taken over: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
+            click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
         for disputed in imported.disputed:
             click.echo(f"  edited in the document as well: {disputed}; the values of the stage were kept")
     return FINDINGS if strict and (imported.notes or imported.disputed) else DONE

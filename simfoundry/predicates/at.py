@@ -26,7 +26,7 @@ def at(terms: Terms, a: Entity, *point: float) -> None:
 
 PREDICATE = Predicate(
     "At",
-    "the thing is at x, y and perhaps z of the world [m]",
+    "the object is at x, y and, if given, z in the world [m]",
     ("thing", "number", "number", "number"),
     at,
     f"the origin of `a` is at most {AT * 100:g} cm from the point; without z, in the horizontal plane",

@@ -25,7 +25,7 @@ def inside(terms: Terms, a: Entity, b: Entity) -> None:
 
     def text(v: float, ok: bool) -> str:
         if not np.isfinite(v):
-            return f"`{b.name}` is turned so that it holds nothing"
+            return f"`{b.name}` is turned so that it cannot contain an object"
         where = "deep in the cavity" if ok else "outside of the cavity"
         return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
 

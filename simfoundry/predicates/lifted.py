@@ -31,13 +31,13 @@ def lifted(terms: Terms, a: Entity) -> None:
     terms.require_if_open(
         partial(gap_to_others, terms.context, a),
         lambda v: v - TOUCH,
-        lambda v, ok: f"`{a.name}` touches " + ("nothing else" if ok else "another object"),
+        lambda v, ok: f"`{a.name}` touches " + ("no other object" if ok else "another object"),
     )
 
 
 PREDICATE = Predicate(
     "Lifted",
-    "it is off whatever it stood on",
+    "it is lifted off its support",
     ("thing",),
     lifted,
     f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the scene, and no object is within "

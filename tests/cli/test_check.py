@@ -489,7 +489,7 @@ def test_a_terminal_shows_colour_unless_it_is_asked_not_to() -> None:
     shown = terminal("check", "bad.scene.yaml")
     assert "\x1b[1;31merror[SF101]\x1b[0m" in shown and "\x1b[1;31m^\x1b[0m" in shown
     plain = run("check", "bad.scene.yaml")
-    more = "`simfoundry explain SF101` says more\n"
+    more = "run `simfoundry explain SF101` for details\n"
     assert re.sub(r"\x1b\[[0-9;]*m", "", shown) == plain.err + plain.out + more
     assert "\x1b[1;33mwarning[SF401]\x1b[0m" in terminal("check", "warned.scene.yaml")
     for env in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
