@@ -92,4 +92,4 @@ def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
     item = names.spec.objects.get(name) if names.spec is not None else None
     if item is not None and item.fixed:
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
-        c.add("SF107", path, message, "take it out here, or take `fixed` out there")
+        c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")

@@ -212,7 +212,7 @@ def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
     if not anchors:
-        raise NewError(f"{loaded.path.name} has one object only, so nothing can be placed around another")
+        raise NewError(f"{loaded.path.name} has only one object, so nothing can be placed around another")
     return {**_named(loaded.path, path), "thing": thing, "anchor": anchors[0]}
 
 

@@ -63,7 +63,7 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
     """Yield the commits that changed a document, given ``FILE``, ``REVISION FILE`` or ``A..B FILE``."""
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
-        raise ArgumentError("give one document, perhaps behind a revision or a range: main..feature a.scene.yaml")
+        raise ArgumentError("give one document, optionally after a revision or a range: main..feature a.scene.yaml")
     if Path(file).is_dir():
         raise ArgumentError(f"{file} is a folder; give one document")
     root, inside = _inside(Path(file))

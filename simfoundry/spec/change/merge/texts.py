@@ -62,7 +62,7 @@ def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnost
         return []
     for d in found:
         if d.code in _UNREADABLE:
-            raise UnmergeableError(f"both together cannot be read: {d.message}")
+            raise UnmergeableError(f"the merged text cannot be read: {d.message}")
     known = {(d.code, d.path, d.message) for text in (ours, theirs) for d in _errors(path, text)}
     return [d for d in found if (d.code, d.path, d.message) not in known]
 
