@@ -193,7 +193,7 @@ def test_a_key_brings_a_first_value_in_the_canonical_form(editor: Editor) -> Non
         (f"{OBJECT}po|se: {{yaw_deg: 10}}", "Pose of its frame in the world."),
         (f"{OBJECT}pose: {{x|yz: [0, 0, 1]}}", "Position [m]; default: [0, 0, 0]."),
         (f"{OBJECT}pose: {{ya|w_deg: 10}}", "Rotation about z [deg]."),
-        (f"{OBJECT}pla|ce: {{on: table}}", "Placement that is solved"),
+        (f"{OBJECT}pla|ce: {{on: table}}", "Placement from which its pose is computed"),
         (f"{OBJECT}place: {{on: table, left_of: cup, g|ap: 0.05}}", "[m]; default: 0.03."),
         (f"{OBJECT}sha|pe: {{box: [1, 1, 1]}}", "A primitive."),
         (f"{OBJECT}shape: {{bo|x: [1, 1, 1]}}", "Full extents along x, y, z [m]."),

@@ -253,14 +253,14 @@ def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(OWN_ROBOTS, str(tmp_path / "nowhere"))
-    with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS names .*nowhere, and there is no such folder"):
+    with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS names .*nowhere, which does not exist"):
         lower_file(WITH_ROBOTS[0])
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("mjcf: {file: a.xml, arms: 2}", "mjcf.arms: Extra inputs are not permitted; docs/robots.md has the form"),
+        ("mjcf: {file: a.xml, arms: 2}", "mjcf.arms: Extra inputs are not permitted; see docs/robots.md for the format"),
         ("mjcf: [", "is not a robot file"),
         ("- 1", "the file: Input should be an object"),
     ],
