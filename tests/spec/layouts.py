@@ -99,7 +99,7 @@ class Untidy:
         for key, value in data.items():
             inside = (*path, key)
             out += self.lines(() if out == "" and not path else inside, indent)
-            written = key if key.isidentifier() and key not in ("true", "false", "null") else quoted(key)
+            written = key if key.isidentifier() and key.lower() not in ("true", "false", "null") else quoted(key)
             head = f"? {written}\n{' ' * indent}:" if len(key) > 1000 or self.chance(0.05) else f"{written}:"
             out += " " * indent + head + self.value(value, indent, inside, True)
         return out
@@ -180,7 +180,10 @@ class Untidy:
             case str() if "'" not in value and value.isprintable() and self.chance(0.3):
                 return f"'{value}'"
             case str() if (
-                value.isidentifier() and value.isascii() and value not in ("true", "false", "null") and self.chance(0.8)
+                value.isidentifier()
+                and value.isascii()
+                and value.lower() not in ("true", "false", "null")
+                and self.chance(0.8)
             ):
                 return value
             case tuple() | dict():
