@@ -45,7 +45,8 @@ class PythonClass:
             raise PolicyError(f"{self.module} has no `{self.name}`; its classes are: {', '.join(here) or 'none'}")
         if not callable(made):
             raise PolicyError(f"`{self.name}` of {self.module} is a `{type(made).__name__}`, not a class")
-        return made  # any callable will do
+        factory: Callable[..., Any] = made
+        return factory
 
 
 class PythonPolicy:
