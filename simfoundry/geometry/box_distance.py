@@ -1,4 +1,4 @@
-"""Distance bounds between a link and a single-box link, such as a table top; they decide nearly all such pairs."""
+"""Distance bounds between a link and a single-box link, such as a table top; they settle nearly all such pairs."""
 
 from __future__ import annotations
 

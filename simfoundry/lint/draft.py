@@ -52,7 +52,7 @@ class DraftScene:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Low and high corner [m] of the bounding box of each of these objects, (3,) each."""
+        """Minimum and maximum corners [m] of the bounding box of each object, shape (3,) each."""
         return {name: shape.bounds() for name, shape in self.shapes.items()}
 
     @cached_property

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from simfoundry.reports.pictures import Tag
 
 FONT = 0.024
-"""Font size as a share of the picture's width: 15 px if two pictures share a wide page."""
+"""Font size as a fraction of the image width: 15 px if two images share a wide page."""
 
 LONGEST = 24
 """Length from which names are truncated with dots: a third of a picture's width."""

@@ -1,4 +1,4 @@
-"""Convert poses of a spec to rigid transforms and back, and write settled poses into a spec."""
+"""Convert poses in a spec to and from rigid transforms, and write settled poses back to a spec."""
 
 from __future__ import annotations
 

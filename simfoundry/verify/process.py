@@ -43,7 +43,7 @@ class Run:
 
 @dataclass(frozen=True)
 class EngineJob:
-    """A build folder to read, and to step if ``run`` is set; ``loader`` replaces the build's own loader."""
+    """A build folder to load and, if ``run`` is set, to simulate; ``loader`` overrides the build's own loader."""
 
     build: Path
     run: Run | None = None

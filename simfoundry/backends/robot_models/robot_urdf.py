@@ -21,7 +21,7 @@ Write = Callable[[SceneObject], Mapping[str, bytes]]
 """Function that writes an object as ``<name>.urdf`` and returns it with its assets."""
 
 CONVERTED = "A robot's own model in this format is used unchanged; any other is converted, with hulls and cut loops."
-"""The reason in the feature tables of all formats except MuJoCo's."""
+"""Reason shown in the feature tables of every format except MuJoCo's."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _STRONG = 100.0

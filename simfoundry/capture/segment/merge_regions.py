@@ -20,7 +20,7 @@ FEW_PAIRS = 60  # a shorter border says nothing
 
 
 def merge_smooth(labels: Labels, depth: Array, reach: int, edge: float = EDGE) -> Labels:
-    """Merge neighbours, the least separated first, until every remaining border is an edge.
+    """Merge neighbors, starting with the least separated, until every remaining border is an edge.
 
     Next to a region many times its size, a small one must be separated more clearly to be an object: caps,
     handles and the smeared feet of objects are not.

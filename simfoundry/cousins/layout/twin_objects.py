@@ -85,7 +85,7 @@ class TwinObject:
 
     @cached_property
     def standing(self) -> SceneObject:
-        """The object at its pose."""
+        """Return the object at its pose."""
         return replace(self.item, X_WO=self.X_WO)
 
     @cached_property

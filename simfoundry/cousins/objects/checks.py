@@ -201,7 +201,7 @@ STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
 """Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval of the checks [s]."""
 
 OPENED = 0.95
-"""Joint opening in a trial, as a share of the range."""
+"""Joint opening during a trial, as a fraction of the range."""
 
 STEPS = 9
 """Number of joint positions sampled to detect jamming."""

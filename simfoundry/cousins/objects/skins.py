@@ -330,7 +330,7 @@ def _grain(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _planks(u: Field, v: Field, rng: Rng) -> Field:
-    """Boards side by side."""
+    """Return boards side by side."""
     n = int(rng.integers(3, 6))
     tone = rng.uniform(0.0, 0.55, n)[np.minimum((v * n).astype(int), n - 1)]
     lines = 0.12 * np.sin(2 * np.pi * 9 * (v + 0.05 * _wave(u, rng)))

@@ -114,7 +114,7 @@ class Log:
         self._cut_torn_line()
 
     def add(self, candidate: Candidate) -> LogEntry:
-        """Append a candidate durably, so that it survives a crash of the machine."""
+        """Append a candidate durably so that it survives a machine crash."""
         line = candidate.line().encode() + b"\n"
         start = self._stream.tell()
         self._stream.write(line)

@@ -88,7 +88,7 @@ class GrootPolicy(RemotePolicy):
         return {"video": {k: images[k] for k in self._takes["video"].keys}, "state": senses}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
-        """Values at the time steps that the server requests, the first one repeated before it; shape (1, T, ...)."""
+        """Values at the time steps that the server requests, padded by repeating the first; shape (1, T, ...)."""
         last = len(self._past) - 1
         moments = [max(0, last + step // self.spec.horizon) for step in self._takes[kind].steps]
         return np.stack([np.asarray(self._past[k][kind][key], dtype=number) for k in moments])[None]

@@ -143,7 +143,7 @@ _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
 @dataclass(frozen=True)
 class BddlWord:
-    """Word and its line; keywords of BDDL are case-insensitive."""
+    """A word and its line number; BDDL keywords are case-insensitive."""
 
     text: str
     line: int

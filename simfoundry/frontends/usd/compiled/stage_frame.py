@@ -53,7 +53,7 @@ class StageFrame:
         return other
 
     def gravity(self, vector: Array) -> Array:
-        """Convert an acceleration of the stage to [m/s^2]."""
+        """Convert an acceleration from stage units to [m/s^2]."""
         return np.asarray(self.X_WS[:3, :3] @ vector)
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:

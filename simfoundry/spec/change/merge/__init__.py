@@ -1,1 +1,1 @@
-"""Three-way merge of documents by meaning."""
+"""Semantic three-way merge of documents."""
