@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-
-import numpy as np
 
 from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.scene.model import Joint, JointType, SceneObject
@@ -19,8 +16,7 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
         case JointType.PRISMATIC:
             return Pose.of(joint.axis * position)
         case JointType.REVOLUTE | JointType.CONTINUOUS:
-            half = position / 2
-            return Pose.of(q=np.concatenate([[math.cos(half)], math.sin(half) * joint.axis]))
+            return Pose.about(joint.axis, position)
     return IDENTITY
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.assets.lathe import ring_faces
+from simfoundry.assets.solids import ring_faces
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.tessellate import closed_mesh
