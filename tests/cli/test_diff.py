@@ -302,7 +302,7 @@ def test_another_kind_of_document_cannot_be_compared(repository: Repository) -> 
 def test_json_can_be_applied(repository: Repository) -> None:
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.yaml.write import to_data
-    from tests.spec.changing import apply, from_json
+    from tests.spec.change.changing import apply, from_json
 
     repository.write("b.scene.yaml", EDITED)
     done = run("diff", "table.scene.yaml", "b.scene.yaml", "--format", "json")
