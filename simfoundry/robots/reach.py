@@ -18,7 +18,7 @@ from simfoundry.robots.arm import Arm
 from simfoundry.robots.fingers import jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10

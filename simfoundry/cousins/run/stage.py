@@ -19,7 +19,7 @@ from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models import base
 from simfoundry.spec.yaml.text import parse
 

@@ -12,10 +12,10 @@ from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm
 from simfoundry.robots.fingers import Jaws, finger_positions
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
