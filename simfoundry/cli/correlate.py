@@ -50,7 +50,7 @@ def command(
     from simfoundry.evaluate.statistics.scores import by_engine, read_scores
 
     if svg is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)

@@ -35,8 +35,7 @@ from simfoundry.render.montage import png_bytes, side_by_side
 from simfoundry.render.raycast import raycast
 from simfoundry.robots.fingers import jaws
 from simfoundry.runtime.extras import MissingExtraError, need_extra
-from simfoundry.runtime.files import staged, write_atomically, write_files
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_atomically, write_files
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds

@@ -22,8 +22,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.reports.comparison import COLORS
-from simfoundry.reports.labels import place_labels
-from simfoundry.reports.pictures import Tag, tints_of
+from simfoundry.reports.pictures import Tag, place_labels, tints_of
 from simfoundry.spec.change.git.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
