@@ -19,9 +19,9 @@ from simfoundry.spec.yaml.spelling import call, exact
 from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
-from tests.spec.layouts import DOCUMENTS, untidy
 from tests.spec.strategies import ASSETS, SCENES
-from tests.spec.test_tree import comments
+from tests.spec.yaml.layouts import DOCUMENTS, untidy
+from tests.spec.yaml.test_tree import comments
 
 SEEDS = st.integers(0, 2**32)
 YAML_FILES = sorted(p for folder in ("specs", "tests") for p in (REPOSITORY / folder).rglob("*.yaml"))

@@ -132,7 +132,7 @@ def test_only_the_components_that_are_named_differ() -> None:
 
 def test_drafts_are_the_same_in_every_process() -> None:
     code = (
-        "from tests.cousins.test_objects_rules import CHANGES, draft, item, rng_of, to_yaml\n"
+        "from tests.cousins.objects.test_rules import CHANGES, draft, item, rng_of, to_yaml\n"
         "print(to_yaml(draft(item('mug'), CHANGES, (), rng_of(1, 'mug', 0)).spec), end='')"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "17"}

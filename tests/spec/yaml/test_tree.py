@@ -14,7 +14,7 @@ from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import Path_, parse
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
-from tests.spec.layouts import DOCUMENTS, VALUES, untidy
+from tests.spec.yaml.layouts import DOCUMENTS, VALUES, untidy
 
 SEEDS = st.integers(0, 2**32)
 

@@ -27,8 +27,8 @@ from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_yaml, write_tree
 from tests.conftest import REPOSITORY
-from tests.cousins.test_objects_checks import needs
-from tests.cousins.test_objects_rules import CHANGES
+from tests.cousins.objects.test_checks import needs
+from tests.cousins.objects.test_rules import CHANGES
 
 AXIS = ObjectVariants(changes=CHANGES, count=3)
 

@@ -21,7 +21,7 @@ from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Mat
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
-from tests.cousins.test_objects_rules import ASSETS, item
+from tests.cousins.objects.test_rules import ASSETS, item
 
 
 @cache

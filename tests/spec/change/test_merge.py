@@ -22,7 +22,7 @@ from simfoundry.spec.yaml.text import parse, read
 from simfoundry.spec.yaml.tree import plain_tree, read_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 from tests.conftest import REPOSITORY
-from tests.spec.edits import clashing, edited, independent
+from tests.spec.change.edits import clashing, edited, independent
 from tests.spec.strategies import ASSETS, SCENES
 
 SCENE = """\

@@ -17,7 +17,7 @@ from simfoundry.spec.change.diff.words import describe
 from simfoundry.spec.models.base import Model, Name, PartName
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.write import to_data
-from tests.spec.changing import ChangeError, apply, from_json
+from tests.spec.change.changing import ChangeError, apply, from_json
 from tests.spec.strategies import ASSETS, SCENES
 
 NAMES = ("cup", "mug", "bowl", "plate", "desk", "tray", "box_1", "box_2")

@@ -37,7 +37,7 @@ from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
-from tests.cousins.test_objects_rules import ASSETS, item
+from tests.cousins.objects.test_rules import ASSETS, item
 
 T = TypeVar("T", bound=BaseModel)
 

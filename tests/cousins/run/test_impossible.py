@@ -10,7 +10,7 @@ from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
 from simfoundry.cousins.run.log import log_file
 from tests.cli.command import Done, run
 from tests.cousins.conftest import TABLE
-from tests.cousins.test_library import BALL, BRICK
+from tests.cousins.recipe.test_library import BALL, BRICK
 
 RECIPE = """\
 simfoundry: cousins/1

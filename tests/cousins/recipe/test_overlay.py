@@ -33,7 +33,7 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.cousins.conftest import TABLE
-from tests.cousins.test_library import BALL, BRICK
+from tests.cousins.recipe.test_library import BALL, BRICK
 
 TASK = """\
 simfoundry: task/1

@@ -21,8 +21,8 @@ from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, Ledger, RunEnd, Run
 from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
-from tests.cousins import toy
-from tests.cousins.toy import Here
+from tests.cousins.run import toy
+from tests.cousins.run.toy import Here
 
 RATE = 0.4
 
@@ -155,7 +155,7 @@ def test_a_recipe_with_an_end(tmp_path: Path) -> None:
 
 
 def test_a_process_that_dies_costs_its_candidate_at_most(tmp_path: Path) -> None:
-    pool = LocalPool(Work("tests.cousins.toy:fragile_sampler", (str(tmp_path / "mark"),)), 2)
+    pool = LocalPool(Work("tests.cousins.run.toy:fragile_sampler", (str(tmp_path / "mark"),)), 2)
     ledger = run(plan(tmp_path / "a", wanted=10), lambda: pool)
     assert ledger.accepted == [1, 2, 3, 4, 6, 8, 9, 10, 11, 12]
     assert ledger.totals == {"failed": 2}
@@ -190,7 +190,7 @@ def test_what_a_kill_left_half_written_is_cleared(tmp_path: Path) -> None:
 def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
-        "import sys; from pathlib import Path; from tests.cousins.test_run import plan, made, work;"
+        "import sys; from pathlib import Path; from tests.cousins.run.test_run import plan, made, work;"
         "from simfoundry.cousins.run.worker_pools import LocalPool;"
         "made(plan(Path(sys.argv[1]), wanted=60), LocalPool(work(), 2))"
     )
@@ -237,7 +237,7 @@ def test_no_process_outlives_its_pool() -> None:
 ON_RAY = """
 import sys
 from simfoundry.cousins.run.worker_pools import Work, open_pool
-pool = open_pool(Work("tests.cousins.toy:sampler", (0.5,)), "ray", 1)
+pool = open_pool(Work("tests.cousins.run.toy:sampler", (0.5,)), "ray", 1)
 pool.submit(1)
 print(pool.next().index)
 pool.close()

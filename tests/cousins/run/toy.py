@@ -12,7 +12,7 @@ from functools import partial
 from simfoundry.cousins.recipe.candidate import Candidate, Reason
 from simfoundry.cousins.run.worker_pools import Work
 
-FUNCTION = "tests.cousins.toy:sampler"
+FUNCTION = "tests.cousins.run.toy:sampler"
 
 
 def sampler(rate: float) -> Callable[[int], Candidate]:
