@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.robot import lower_robot
 from simfoundry.scene.robot_files import NoModelError, companions
 from simfoundry.spec.files import is_document

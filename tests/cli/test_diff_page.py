@@ -17,8 +17,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.reports.comparison import COLORS
-from simfoundry.reports.labels import place_labels
-from simfoundry.reports.pictures import Tag, tints_of
+from simfoundry.reports.pictures import Tag, place_labels, tints_of
 from tests.cli.command import run
 from tests.cli.repository import BASE, CABINET, EDITED, Repository
 

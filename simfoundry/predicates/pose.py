@@ -1,4 +1,4 @@
-"""``Open(joint)`` and ``Closed(joint)``, by the share of the joint's range; an object stands for its limited joints."""
+"""``At``, ``Upright``, ``Open`` and ``Closed``: the pose of one object, or the position of its joints."""
 
 from __future__ import annotations
 
@@ -8,8 +8,57 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Joints
-    from simfoundry.predicates.judging.terms import Terms
+    from simfoundry.predicates.judging.bodies import Entity, Joints
+    from simfoundry.predicates.judging.judge import Terms
+
+AT_DISTANCE = 0.02
+"""Largest distance [m] from the point: about half the width of an object that a gripper can grasp."""
+
+
+def at(terms: Terms, a: Entity, *point: float) -> None:
+    """Require that the frame of ``a`` is near ``point`` [m], with two or three world coordinates."""
+    import numpy as np
+
+    from simfoundry.scene.lengths import length
+
+    off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
+    terms.require(off, AT_DISTANCE - off, lambda v, ok: f"`{a.name}` is {length(v)} from the point")
+
+
+AT = Predicate(
+    "At",
+    "the object is at x, y and, if given, z in the world [m]",
+    ("thing", "number", "number", "number"),
+    at,
+    f"the origin of `a` is at most {AT_DISTANCE * 100:g} cm from the point; without z, in the horizontal plane",
+    optional=1,
+    effect=Effect.MOVE,
+)
+
+
+UPRIGHT_DEG = 10.0
+"""Largest tilt [deg]: standing objects tilt less after settling, fallen objects far more."""
+
+
+def upright(terms: Terms, a: Entity) -> None:
+    """Require that the angle between the z axis of ``a`` and up is at most :data:`UPRIGHT_DEG`."""
+    import numpy as np
+
+    z = terms.view.frame(a).R[:, :, 2]
+    lean = np.degrees(np.arctan2(np.hypot(z[:, 0], z[:, 1]), z[:, 2]))
+    terms.require(lean, UPRIGHT_DEG - lean, lambda v, ok: f"`{a.name}` leans by {v:.1f} deg")
+
+
+UPRIGHT = Predicate(
+    "Upright",
+    "its z axis points up",
+    ("thing",),
+    upright,
+    f"the z axis of `a` is at most {UPRIGHT_DEG:g} deg from vertical",
+    unit="deg",
+    aliases=("upright",),
+)
+
 
 OPEN_SHARE = 0.10
 """Share of a joint's range from its closed end beyond which it counts as open (OmniGibson's rule)."""
