@@ -1,4 +1,4 @@
-"""Names and masses of objects without a model: from shape and colour, by tables.
+"""Names and masses of objects without a model: from shape and color, by tables.
 
 The bulk densities are ranges of filled household packages and vessels, in which the published masses and sizes of the
 YCB objects lie (cracker box 160 kg/m^3, sugar box 700, soup can 940, bleach bottle 1,000). They are estimates: the spec
@@ -46,7 +46,7 @@ TABLE = {
 }
 SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
 
-# Upper limits of hue [deg] of the English colour words, read off the HSV circle.
+# Upper limits of hue [deg] of the English color words, read off the HSV circle.
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
 
 
@@ -63,7 +63,7 @@ def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
 
 
 def color_word(rgb: tuple[float, float, float]) -> str:
-    """Return a plain English word for an sRGB colour in [0, 1]."""
+    """Return a plain English word for an sRGB color in [0, 1]."""
     hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
     if value < 0.2:
         return "black"

@@ -79,7 +79,7 @@ def _carrier(
     """Return the fitted object that ``k`` stands on, 0 for the support.
 
     The support graph is believed only if the supporting solid lies below a good part of the visible points of ``k``:
-    a foot that is merely hidden by a neighbour does not stand on it.
+    a foot that is merely hidden by a neighbor does not stand on it.
     """
     import shapely
 

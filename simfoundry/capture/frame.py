@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import Array, Pose
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A colour picture with depth registered to it.
+    """A color picture with depth registered to it.
 
     ``color`` uint8 RGB, shape (h, w, 3); ``depth`` [m] along the optical axis, float64, shape (h, w), NaN where there
     is none; ``K`` the intrinsics [px], shape (3, 3); ``instances`` int32, shape (h, w), 0 where there is no object and

@@ -14,7 +14,7 @@ from simfoundry.capture.describe import (
     camera_spec,
     material_spec,
     mesh_files,
-    metres,
+    meters,
     object_spec,
     support_spec,
 )
@@ -95,7 +95,7 @@ def reconstruct(
             "sky": LightSpec(type="dome", intensity=0.7),
         },
         relations=relations,
-        origin=Origin(capture=name, fit_error=metres(support.residual)),
+        origin=Origin(capture=name, fit_error=meters(support.residual)),
     )
     return Reconstruction(
         spec,
@@ -150,7 +150,7 @@ def _names(
     colors: dict[int, tuple[float, float, float]],
     given: dict[str, int],
 ) -> dict[int, str]:
-    """Name every object: by the capture if it has a name, else by its colour and shape."""
+    """Name every object: by the capture if it has a name, else by its color and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():

@@ -21,7 +21,7 @@ CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
 def synthesize(
     scene: Scene, camera: Camera, folder: Path, seed: int, masks: bool = False, truth: Path | None = None
 ) -> Path:
-    """Write colour, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
+    """Write color, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
 
     The same scene and seed give the same bytes. ``truth`` names the scene document in the capture where it lies in
     the same folder.

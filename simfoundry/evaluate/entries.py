@@ -14,7 +14,7 @@ from simfoundry.evaluate.policies.choice import Choice, ReplayChoice, parse_poli
 from simfoundry.evaluate.policies.python_class import PythonClass
 from simfoundry.evaluate.tasks.task import Task, load_task
 
-_LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
+_LABELED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
@@ -67,7 +67,7 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
     """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; labels must be unique."""
     found: list[Contender] = []
     for text in texts:
-        match = _LABELLED.fullmatch(text)
+        match = _LABELED.fullmatch(text)
         label, policy = match.groups() if match else (_label(text), text)
         if any(label == other.label for other in found):
             raise SimfoundryError(f"two policies have the label `{label}`; give one another label: `NAME={policy}`")

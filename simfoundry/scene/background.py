@@ -13,7 +13,7 @@ from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.bodies import GREY
+from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Background, Visual
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
@@ -33,12 +33,12 @@ def lower_background(loaded: Loaded, written: spec.BackgroundSpec, X_WB: Pose) -
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are grey."""
+    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are gray."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         faces = np.array(piece.faces, dtype=np.int32)
         faces.setflags(write=False)
         uv = None if piece.uv is None else frozen(piece.uv)
-        color = piece.rgba or (GREY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
+        color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
         mesh = Mesh(frozen(piece.vertices), faces, uv, piece.texture)
         yield Visual("mesh" if len(pieces) == 1 else f"mesh_{k}", mesh, frozen(color))

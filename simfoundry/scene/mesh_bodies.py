@@ -97,7 +97,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
     """Primitive that represents a mesh, and its pose in the mesh frame."""
     turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
+    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
     X_GP = Pose.from_matrix(turn)
     match primitive.kind:
         case "box":
@@ -105,7 +105,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
         case "cylinder":
             return Cylinder(*primitive.size), X_GP
         case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.centre)
+            return Sphere(*primitive.size), Pose.of(primitive.center)
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:

@@ -303,7 +303,7 @@ def test_findings_come_in_one_order_however_they_were_found(random: Any) -> None
 @pytest.mark.parametrize("form", FORMATS)
 def test_long_lists_are_shown_whole_and_every_run_is_alike(tree: Path, form: str) -> None:
     for k in range(12):
-        bad = "".join(f"  cup_{n}: {{shape: {{sphere: 0.04}}, mass: 0.2, colour: red}}\n" for n in range(40))
+        bad = "".join(f"  cup_{n}: {{shape: {{sphere: 0.04}}, mass: 0.2, color: red}}\n" for n in range(40))
         (tree / f"many_{k:02}.scene.yaml").write_text(f"simfoundry: scene/1\nname: many\nobjects:\n{bad}")
     done = run("check", "--format", form)
     assert done.code == 1
@@ -342,7 +342,7 @@ def test_hidden_folders_are_left_out_and_where_one_stands_does_not_matter(
 
 # -- documents that others use --------------------------------------------------------------------------------------
 
-ASSET = "simfoundry: asset/1\nname: box\nlinks: {box: {parts: {a: {shape: {sphere: 0.1}}}, mass: 1, colour: red}}\n"
+ASSET = "simfoundry: asset/1\nname: box\nlinks: {box: {parts: {a: {shape: {sphere: 0.1}}}, mass: 1, color: red}}\n"
 USER = "simfoundry: scene/1\nname: user\nobjects: {box: {asset: ../assets/box.asset.yaml}}\n"
 
 
@@ -385,7 +385,7 @@ def test_what_several_scenes_use_is_read_once_and_anew_by_each_command(
     monkeypatch.setattr("simfoundry.spec.load.read", counted)
     assert run("check", "scenes").out == "1 error in 1 of 21 documents\n"
     assert reads.count("box.asset.yaml") <= 2 and len(set(reads)) == 21
-    (tree / "assets" / "box.asset.yaml").write_text(ASSET.replace(", colour: red", ""))
+    (tree / "assets" / "box.asset.yaml").write_text(ASSET.replace(", color: red", ""))
     assert run("check", "scenes").out == "no findings in 21 documents\n"
 
 
@@ -485,7 +485,7 @@ def terminal(*args: str, **env: str) -> str:
 
 
 @pytest.mark.usefixtures("tree")
-def test_a_terminal_shows_colour_unless_it_is_asked_not_to() -> None:
+def test_a_terminal_shows_color_unless_it_is_asked_not_to() -> None:
     shown = terminal("check", "bad.scene.yaml")
     assert "\x1b[1;31merror[SF101]\x1b[0m" in shown and "\x1b[1;31m^\x1b[0m" in shown
     plain = run("check", "bad.scene.yaml")

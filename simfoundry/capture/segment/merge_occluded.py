@@ -78,7 +78,7 @@ def one_rim(front: Array, back: Array) -> bool:
     system = np.column_stack([2 * xy, np.ones(len(xy))])
     solution = np.linalg.lstsq(system, (xy**2).sum(axis=1), rcond=None)[0]
     center, radius = solution[:2], float(np.sqrt(max(1e-9, solution[2] + solution[:2] @ solution[:2])))
-    # A lid or a box top would fill the disc; a rim, front and back, keeps to the circle.
+    # A lid or a box top would fill the disk; a rim, front and back, keeps to the circle.
     round_enough = all(
         np.quantile(np.abs(np.linalg.norm(rim - center, axis=1) - radius), 0.8) < 0.003 + 0.07 * radius for rim in rims
     )
@@ -130,7 +130,7 @@ Plane = tuple[Array, Array]
 
 
 def _main_plane(points: Array, level: bool) -> Plane | None:
-    """Centre and normal of the plane through most of ``points``, among the level or among the upright ones."""
+    """Center and normal of the plane through most of ``points``, among the level or among the upright ones."""
     rng = np.random.default_rng(0)
     triples = points[rng.integers(len(points), size=(400, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])

@@ -1,4 +1,4 @@
-"""Merging of regions into objects across borders that are smooth or bent outwards."""
+"""Merging of regions into objects across borders that are smooth or bent outward."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.geometry.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch
-SMALL_PART = 0.2  # of its neighbour's pixels
+SMALL_PART = 0.2  # of its neighbor's pixels
 SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
 FEW_PAIRS = 60  # a shorter border says nothing
 

@@ -1,4 +1,4 @@
-"""Noise of depth readings, and a check that a depth picture is in metres."""
+"""Noise of depth readings, and a check that a depth picture is in meters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
         raise CaptureError(
             "SF502",
             "the depth picture has no valid pixel",
-            "check that the depth file belongs to the colour picture, and which values the capture declares invalid",
+            "check that the depth file belongs to the color picture, and which values the capture declares invalid",
         )
     valid = finite & (depth >= NEAREST) & (depth <= FARTHEST)
     if not valid.any():
@@ -43,19 +43,19 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
 
 
 def _wrong_unit(median: float) -> CaptureError:
-    units = [("millimetres", 0.001), ("tenths of a millimetre", 0.0001), ("micrometres", 1e-6)]
+    units = [("millimeters", 0.001), ("tenths of a millimeter", 0.0001), ("micrometers", 1e-6)]
     for name, scale in units:
         if NEAREST <= median * scale <= FARTHEST:
-            guess = f"it seems to be in {name}", f"set the depth scale of the capture to {scale:g} (metres per unit)"
+            guess = f"it seems to be in {name}", f"set the depth scale of the capture to {scale:g} (meters per unit)"
             break
     else:
         if NEAREST <= median * 1000 <= FARTHEST:
             guess = (
-                "it seems to be in kilometres, as when a scale of 0.001 is applied twice",
+                "it seems to be in kilometers, as when a scale of 0.001 is applied twice",
                 "multiply the depth scale of the capture by 1000",
             )
         else:
-            guess = "its unit is not one a sensor writes", "set the depth scale of the capture (metres per unit)"
+            guess = "its unit is not one a sensor writes", "set the depth scale of the capture (meters per unit)"
     return CaptureError(
         "SF502",
         f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {guess[0]}",

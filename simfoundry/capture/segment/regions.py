@@ -63,7 +63,7 @@ def relief_of(depth: Array, K: Array, scale: float) -> Relief:
 
 
 def _breaks(depth: Array) -> Array:
-    """Jump of the depth [m] to a direct neighbour beyond any slope; it needs no surface on either side."""
+    """Jump of the depth [m] to a direct neighbor beyond any slope; it needs no surface on either side."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):

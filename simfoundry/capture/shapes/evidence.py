@@ -18,7 +18,7 @@ _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside 
 class Evidence:
     """Points of one object and rays through and around it.
 
-    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera centre in the world, shape (3,);
+    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera center in the world, shape (3,);
     ``rays`` world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
     [m] observed along the rays, NaN where there is none, shape (m,); ``inside`` marks the object's own rays and
     ``hidden`` those that belong to other objects, both bool, shape (m,); ``scale`` [m] is the distance at which a
@@ -117,15 +117,15 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of eight neighbours are at their depth."""
+    """Pixels that hang between a near and a far surface: fewer than three of eight neighbors are at their depth."""
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
     for dv in (0, 1, 2):
         for du in (0, 1, 2):
             if (dv, du) != (1, 1):
-                neighbour = padded[dv : dv + h, du : du + w]
-                agreeing += np.abs(neighbour - depth) < 0.012 * depth
+                neighbor = padded[dv : dv + h, du : du + w]
+                agreeing += np.abs(neighbor - depth) < 0.012 * depth
     return np.asarray(np.isfinite(depth) & (agreeing < 3))
 
 

@@ -13,7 +13,7 @@ from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cas
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Cylinder, Sphere
 
-SMALLEST = 0.004  # [m] least radius: below the depth noise at half a metre
+SMALLEST = 0.004  # [m] least radius: below the depth noise at half a meter
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def start_axis(evidence: Evidence) -> tuple[Array, float]:
 
 
 def cylinder_profile(radius: float, height: float) -> Array:
-    """The closed profile of a cylinder centred on its frame, shape (4, 2)."""
+    """The closed profile of a cylinder centered on its frame, shape (4, 2)."""
     return np.array([[0.0, height / 2], [radius, height / 2], [radius, -height / 2], [0.0, -height / 2]])
 
 
@@ -138,5 +138,5 @@ def fit_sphere(evidence: Evidence) -> RoundFit:
     start = min(starts, key=lambda x: judge(x).cost)
     steps = np.array([0.25 * radius, 0.25 * radius, 0.12 * radius])
     _, best = search(lambda x: judge(x).cost, start, steps, 150)
-    r, centre = solid(best)
-    return RoundFit(Sphere(r), Pose.of(centre), judge(best))
+    r, center = solid(best)
+    return RoundFit(Sphere(r), Pose.of(center), judge(best))

@@ -31,7 +31,7 @@ class SolidHits:
 
 
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
-    """Rays against a box of full extents ``size`` [m] centred on ``X_WO``."""
+    """Rays against a box of full extents ``size`` [m] centered on ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
@@ -43,9 +43,9 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
-def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> SolidHits:
+def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
     """Rays against a sphere."""
-    to_eye = eye - centre
+    to_eye = eye - center
     a = np.einsum("ij,ij->i", rays, rays)
     b = rays @ to_eye
     root = b * b - a * (to_eye @ to_eye - radius**2)
@@ -143,7 +143,7 @@ class RayAgreement:
 
     ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
     rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
-    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimise.
+    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimize.
     """
 
     explained: float

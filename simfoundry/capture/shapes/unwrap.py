@@ -63,7 +63,7 @@ def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15))
 
 
-def _neighbours(faces: NDArray[np.int32]) -> NDArray[np.intp]:
+def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """Pairs of faces that share an edge, shape (k, 2)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
@@ -77,7 +77,7 @@ def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """The direction each face belongs to; a lone face among others joins them, so that charts stay few."""
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
-    pairs = _neighbours(faces)
+    pairs = _neighbors(faces)
     for _ in range(3):
         votes = np.zeros((len(faces), 6))
         np.add.at(votes, (pairs[:, 0], facing[pairs[:, 1]]), 1.0)
@@ -93,7 +93,7 @@ def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.in
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    pairs = _neighbours(faces)
+    pairs = _neighbors(faces)
     pairs = pairs[facing[pairs[:, 0]] == facing[pairs[:, 1]]]
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
     return np.asarray(connected_components(graph, directed=False)[1])

@@ -60,8 +60,8 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
     forms = view.forms(a)
     for j, form in forms:  # the bounding balls decide most states
         X_WA = view.link(a.owner, j)
-        centre, radius = form.ball
-        gap = np.linalg.norm(X_WA.p + X_WA.R @ centre - middle, axis=1) - radius - hole.size
+        center, radius = form.ball
+        gap = np.linalg.norm(X_WA.p + X_WA.R @ center - middle, axis=1) - radius - hole.size
         out = np.minimum(out, gap)
     out = -out
     near = np.flatnonzero(out >= 0)
