@@ -36,7 +36,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.run.report import read_manifest
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
