@@ -29,7 +29,7 @@ def test_hidden_folders_are_left_out_and_where_one_stands_does_not_matter(
 
 # -- documents that others use --------------------------------------------------------------------------------------
 
-ASSET = "simfoundry: asset/1\nname: box\nlinks: {box: {parts: {a: {shape: {sphere: 0.1}}}, mass: 1, color: red}}\n"
+ASSET = "simfoundry: asset/1\nname: box\nlinks: {box: {parts: {a: {shape: {sphere: 0.1}}}, mass: 1, colour: red}}\n"
 USER = "simfoundry: scene/1\nname: user\nobjects: {box: {asset: ../assets/box.asset.yaml}}\n"
 
 
@@ -72,7 +72,7 @@ def test_what_several_scenes_use_is_read_once_and_anew_by_each_command(
     monkeypatch.setattr("simfoundry.spec.load.read", counted)
     assert run("check", "scenes").out == "1 error in 1 of 21 documents\n"
     assert reads.count("box.asset.yaml") <= 2 and len(set(reads)) == 21
-    (tree / "assets" / "box.asset.yaml").write_text(ASSET.replace(", color: red", ""))
+    (tree / "assets" / "box.asset.yaml").write_text(ASSET.replace(", colour: red", ""))
     assert run("check", "scenes").out == "no findings in 21 documents\n"
 
 

@@ -276,7 +276,7 @@ def test_findings_come_in_one_order_however_they_were_found(random: Any) -> None
 @pytest.mark.parametrize("form", FORMATS)
 def test_long_lists_are_shown_whole_and_every_run_is_alike(tree: Path, form: str) -> None:
     for k in range(12):
-        bad = "".join(f"  cup_{n}: {{shape: {{sphere: 0.04}}, mass: 0.2, color: red}}\n" for n in range(40))
+        bad = "".join(f"  cup_{n}: {{shape: {{sphere: 0.04}}, mass: 0.2, colour: red}}\n" for n in range(40))
         (tree / f"many_{k:02}.scene.yaml").write_text(f"simfoundry: scene/1\nname: many\nobjects:\n{bad}")
     done = run("check", "--format", form)
     assert done.code == 1

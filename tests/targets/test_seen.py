@@ -264,7 +264,7 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
         ("{asset: nowhere.obj}", "SF203", "there is no file `nowhere.obj`"),
         ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "give one of `shape`, `asset`"),
         ("{}", "SF107", "and this one has none"),
-        ("{color: [1, 0, 0]}", "SF101", "unknown key `color`"),
+        ("{colour: [1, 0, 0]}", "SF101", "unknown key `colour`"),
     ],
 )
 def test_a_wrong_variant_is_found_where_it_stands(tmp_path: Path, variant: str, code: str, words: str) -> None:
