@@ -12,8 +12,7 @@ from simfoundry.cousins.recipe.candidate import file_of
 from simfoundry.cousins.recipe.document import Recipe
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import pose, pose_spec
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, pose, pose_spec
 from simfoundry.spec.models.place import DEPTHS, SIDES, Place
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec

@@ -18,7 +18,7 @@ from simfoundry.cousins.run.run import Ledger, RunPlan
 from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import MARK, writing_atomically
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models import base
 from simfoundry.spec.yaml.text import parse
 
