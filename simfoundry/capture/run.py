@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame
+from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import staged, write_file
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses

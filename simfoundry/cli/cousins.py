@@ -71,7 +71,7 @@ def command(
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)

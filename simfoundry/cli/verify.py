@@ -91,7 +91,7 @@ def command(
     if not paths and not behaviours:
         raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
     if html is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(html, paths, force)
     required = [find_engine(name) for name in require]

@@ -20,23 +20,21 @@ from simfoundry.assets.cache import Cache
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.expert.grasps import down, grasps
-from simfoundry.evaluate.expert.places import places
+from simfoundry.evaluate.expert.candidates import down, grasps, places
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, physics_steps
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.render.montage import png_bytes, side_by_side
 from simfoundry.render.raycast import raycast
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import jaws
 from simfoundry.runtime.extras import MissingExtraError, need_extra
-from simfoundry.runtime.files import staged, write_atomically, write_files
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_atomically, write_files
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds

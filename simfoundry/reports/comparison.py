@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.reports.labels import Label, place_labels
+from simfoundry.reports.pictures import Label, place_labels
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.poses import motion, words

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import pose

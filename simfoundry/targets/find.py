@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.files import shipped
 from simfoundry.runtime.plugins import plugins
-from simfoundry.runtime.shipped import shipped
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, read

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.robot_files import companions
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.scene.robots import lower_robot

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Segmentation
+from simfoundry.capture.frame import CaptureError, Frame, Segmentation
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from shapely.geometry import Point, Polygon
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, Table, photograph
 from tests.corpora.segmentation import available, pictures

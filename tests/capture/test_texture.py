@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.shapes.unwrap import face_normals, unwrap
+from simfoundry.capture.shapes.texture import dominant_color, face_normals, textured_mesh, unwrap
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved, tessellate

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.runtime.outputs import MARK, ensure_replaceable, is_generated
+from simfoundry.runtime.files import MARK, ensure_replaceable, is_generated
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
 

@@ -35,7 +35,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene

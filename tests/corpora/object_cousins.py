@@ -133,7 +133,7 @@ def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Pa
     from simfoundry.evaluate.expert.policy import ExpertPolicy
     from simfoundry.evaluate.resets.starts import starts
     from simfoundry.evaluate.rollouts.rollout import rollout
-    from simfoundry.evaluate.tasks.task import load_task
+    from simfoundry.evaluate.task import load_task
     from simfoundry.worlds import open_world
 
     won = total = 0

@@ -13,7 +13,7 @@ import pytest
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.tasks.task import Task
+from simfoundry.evaluate.task import Task
 from simfoundry.render.gl import Engine, choose_engine
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")

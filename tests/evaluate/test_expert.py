@@ -7,7 +7,7 @@ import pytest
 
 from simfoundry.evaluate.expert.policy import Skill, steps
 from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import lower_file

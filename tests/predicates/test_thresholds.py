@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from simfoundry.predicates.at import AT
+from simfoundry.predicates.holding import RISE
 from simfoundry.predicates.judging import thresholds as at
-from simfoundry.predicates.lifted import RISE
-from simfoundry.predicates.next_to import NEAR_SHARE
-from simfoundry.predicates.opening import OPEN_SHARE
-from simfoundry.predicates.upright import UPRIGHT_DEG
+from simfoundry.predicates.pose import AT_DISTANCE, OPEN_SHARE, UPRIGHT_DEG
+from simfoundry.predicates.relative import NEAR_SHARE
 from tests.predicates.conftest import Setting, changed, posed
 
 STEP = 1e-4
@@ -125,8 +123,8 @@ def test_above_and_under_begin_where_the_plumb_line_meets_the_other(boxes: Setti
 
 
 def test_at_ends_two_centimetres_away(boxes: Setting) -> None:
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT, STEP, True)
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT, STEP, True)
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT_DISTANCE, STEP, True)
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT_DISTANCE, STEP, True)
 
 
 def test_upright_ends_at_ten_degrees(boxes: Setting) -> None:

@@ -12,8 +12,7 @@ import pytest
 import simfoundry
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.geometry.frames import Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.spec.models.robot import RobotSpec

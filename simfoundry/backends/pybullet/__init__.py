@@ -28,7 +28,7 @@ from simfoundry.backends.urdf.manifests import (
     placement,
     semantics,
 )
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.scene.touching import contact_pairs
 from simfoundry.scene.trees import Tree, trees

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.noise import depth_sigma
+from simfoundry.capture.frame import depth_sigma
 from simfoundry.geometry.frames import Array
 
 CONTACT = 0.015  # [m] largest gap between an object and its support

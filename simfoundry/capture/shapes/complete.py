@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
+from simfoundry.assets.lathe import ring_faces
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
-from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_mesh
-from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
+from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import closed_mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
@@ -301,3 +301,22 @@ def _foot_margin(rings: Array) -> float:
 def _area(polygon: Array) -> float:
     x, y = polygon.T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+
+def loft_mesh(rings: Array) -> Mesh:
+    """Rings of points [m], shape (k, sides, 3), from the bottom up, each counter-clockwise from above, closed by caps.
+
+    The caps are fans about each end ring's mean, so the end rings must be star-shaped about it.
+    """
+    levels, sides, _ = rings.shape
+    top_down = rings[::-1].reshape(-1, 3)
+    vertices = np.concatenate([rings[-1].mean(axis=0)[None], top_down, rings[0].mean(axis=0)[None]])
+    return closed_mesh(vertices, ring_faces(levels, sides))
+
+
+def hull_margin(footprint: Array, point: Array) -> float:
+    """Distance inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
+    from scipy.spatial import ConvexHull
+
+    equations = ConvexHull(footprint).equations
+    return float(-(equations[:, :2] @ point + equations[:, 2]).max())

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.shapes.complete import complete
-from simfoundry.capture.shapes.evidence import Evidence, gather
-from simfoundry.capture.shapes.fit_box import fit_box
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, gather
 from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
-from simfoundry.capture.shapes.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
-from simfoundry.capture.shapes.ray_agreement import RayAgreement
+from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved

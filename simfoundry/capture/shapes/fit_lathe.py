@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.capture.shapes.fit_round import search, start_axis
-from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_lathe
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_lathe
+from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
 
 LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls

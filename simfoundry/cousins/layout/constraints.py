@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
 from simfoundry.predicates.judging.thresholds import ENCLOSED
-from simfoundry.predicates.sides import viewer_axis
+from simfoundry.predicates.relative import viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis

@@ -22,7 +22,7 @@ from simfoundry.cousins.layout.twin import Twin, TwinError
 from simfoundry.cousins.recipe.candidate import Reason, Rejected
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.poses import Poses, rotations
-from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.view import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4

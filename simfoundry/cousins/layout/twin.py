@@ -16,7 +16,7 @@ from simfoundry.cousins.layout.twin_objects import TwinObject, TwinRobots, joine
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.placement import rounded
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.scene.lower import lower

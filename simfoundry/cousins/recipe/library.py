@@ -20,7 +20,7 @@ from simfoundry.cousins.objects.appearance import category_prior, same_kind
 from simfoundry.cousins.objects.retrieval import likeness
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason, free_name
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import Jaws, finger_positions
+from simfoundry.robots.arm import Arm, Jaws, finger_positions
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
