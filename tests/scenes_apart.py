@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import (
     Camera,
     Collider,
@@ -24,7 +25,6 @@ from simfoundry.scene.model import (
     Visual,
 )
 from simfoundry.scene.robot import Robot
-from simfoundry.scene.touching import excluded_link_pairs
 
 RELATIVE, METRES, RADIANS = 1e-6, 1e-6, 1e-6
 

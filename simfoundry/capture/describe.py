@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.poses import pose_spec
+from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,

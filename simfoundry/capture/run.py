@@ -20,8 +20,7 @@ from simfoundry.errors import OutputError
 from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import with_poses
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.load import load_capture, load_scene
 from simfoundry.spec.loaded import Loaded

@@ -38,8 +38,7 @@ from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_at
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds
-from simfoundry.scene.robot import Robot, mujoco_model
-from simfoundry.scene.robots import lower_robot
+from simfoundry.scene.robot import Robot, lower_robot, mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import find_robot

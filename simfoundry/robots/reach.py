@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm, jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import contact_pairs, excluded_link_pairs, free_motions, link_poses, trees
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene
-from simfoundry.scene.poses import with_state
-from simfoundry.scene.state import SceneState
-from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
-from simfoundry.scene.trees import free_motions, trees
+from simfoundry.scene.state import SceneState, with_state
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml

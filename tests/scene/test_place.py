@@ -23,7 +23,7 @@ from simfoundry.scene.misfits import certain_misfits, uncut
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
-from simfoundry.scene.poses import with_poses
+from simfoundry.scene.state import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.place import Place

@@ -11,8 +11,8 @@ from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
-from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64
 """PhysX's limit of the vertices of a convex hull (its documentation of ``PxConvexMeshDesc``)."""

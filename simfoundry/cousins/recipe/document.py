@@ -23,8 +23,7 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import pose, pose_spec
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, pose, pose_spec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind

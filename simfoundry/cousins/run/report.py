@@ -24,7 +24,7 @@ from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
 from simfoundry.errors import OutputError
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import MARK, writing_atomically
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.yaml.text import parse
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from simfoundry.cousins.layout.colliders import Solids
 from simfoundry.cousins.layout.propose import Layout, propose, scatter
 from simfoundry.cousins.layout.rejection_sampling import Demands, Occupancy, Region, find, rectangles_meet
 from simfoundry.cousins.layout.supports import Outline, Support, support_of
 from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.layout.twin_objects import Solids
 from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry
 from simfoundry.scene.model import Collider, Link, SceneObject

@@ -14,7 +14,7 @@ from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links
 from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
+from simfoundry.scene.state import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
