@@ -1,4 +1,4 @@
-"""Build one rigid body from shapes and meshes: visuals, colliders, mass, centre of mass and inertia."""
+"""Build one rigid body from shapes and meshes: visuals, colliders, mass, center of mass and inertia."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from simfoundry.assets.mesh import MeshPart
     from simfoundry.scene.mesh_bodies import MeshBody
 
-GREY = (0.7, 0.7, 0.7, 1.0)
+GRAY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of a piece without one, which is allowed if its body is fixed or has a given mass."""
 
@@ -183,11 +183,11 @@ class BodyBuilder:
         return Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """Return the color: the part's, the body's, the mesh's own, the material's, or grey, in this order."""
+        """Return the color: the part's, the body's, the mesh's own, the material's, or gray, in this order."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
                 return frozen((*color, 1.0)[:4])
-        return frozen(GREY)
+        return frozen(GRAY)
 
 
 def _use(part: PartSpec | None) -> str:

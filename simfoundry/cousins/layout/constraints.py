@@ -113,7 +113,7 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
         elif anchor in twin.riders(name):
             yield Reason("carries_anchor", f"`{name}` supports the anchor `{anchor}`, so it cannot move around it")
         elif not words:
-            yield Reason("no_predicate", f"`{name}` has no allowed predicate towards `{anchor}`")
+            yield Reason("no_predicate", f"`{name}` has no allowed predicate toward `{anchor}`")
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:

@@ -68,7 +68,7 @@ class Grasp:
 
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
-    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] towards eight sides."""
+    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] toward eight sides."""
     found = []
     for tilt in tilts:
         for side in range(8 if tilt else 1):

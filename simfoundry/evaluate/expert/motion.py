@@ -152,13 +152,13 @@ def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rn
     return None
 
 
-def _extend(tree: list[Array], parent: list[int], towards: Array, free: object) -> int | None:
+def _extend(tree: list[Array], parent: list[int], toward: Array, free: object) -> int | None:
     """Grow a tree by one step; return the index of the new posture."""
-    distance = np.abs(np.array(tree) - towards).max(axis=1)
+    distance = np.abs(np.array(tree) - toward).max(axis=1)
     nearest = int(distance.argmin())
     if distance[nearest] < 1e-9:
         return None
-    step = tree[nearest] + (towards - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
+    step = tree[nearest] + (toward - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
     if not _straight(tree[nearest], step, free):
         return None
     tree.append(step)
