@@ -83,7 +83,7 @@ def ring_faces(rings: int, sides: int) -> Faces:
 def lathe_parts(profile: Array) -> list[Array]:
     """Return the corner points of convex parts that form the body of a checked profile.
 
-    The profile is cut into bands at the heights of its corners; neighbouring bands are joined while they stay nearly
+    The profile is cut into bands at the heights of its corners; neighboring bands are joined while they stay nearly
     convex. A band that reaches the axis is one part, a ring is cut into sectors.
     """
     return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
@@ -205,7 +205,7 @@ def checked_outline(outline: Array) -> Array:
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
-    """Return vertices and faces of the closed prism over a counter-clockwise outline, centred in height."""
+    """Return vertices and faces of the closed prism over a counter-clockwise outline, centerd in height."""
     n = len(outline)
     low = np.column_stack([outline, np.full(n, -height / 2)])
     high = np.column_stack([outline, np.full(n, height / 2)])

@@ -112,7 +112,7 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: Rgba) -> tuple[float, ...]:
-    """Return a colour rounded to display precision, which removes the noise of single precision."""
+    """Return a color rounded to display precision, which removes the noise of single precision."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
@@ -409,7 +409,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
     """Return True if the inertia of a link is that of its only shape at uniform density."""
-    from simfoundry.scene.shape_bodies import shape_body
+    from simfoundry.scene.bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)
     if not link.mass:

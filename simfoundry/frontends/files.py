@@ -30,7 +30,7 @@ MAX_DEPTH = 200
 """Largest nesting depth; a chain of bodies in MJCF has one level per joint."""
 
 MAX_HEAD = 64 * 1024
-"""Bytes in which the root element of an XML file begins: it may follow a licence."""
+"""Bytes in which the root element of an XML file begins: it may follow a license."""
 
 
 @dataclass(eq=False)

@@ -94,7 +94,7 @@ def _beside(name: str, folder: Path, search: FileSearch) -> Path | None:
 
 
 def _baked(path: Path, scale: Scale) -> MeshDraft:
-    """Return the mesh as an OBJ in metres."""
+    """Return the mesh as an OBJ in meters."""
     if path.suffix.lower() == ".dae":
         parts = read_collada(path, scale)
     elif path.suffix.lower() in (*MESH_SUFFIXES, ".gltf"):
@@ -105,7 +105,7 @@ def _baked(path: Path, scale: Scale) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return an OBJ in metres with a material for each part that has its own colour or texture."""
+    """Return an OBJ in meters with a material for each part that has its own color or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
@@ -214,7 +214,7 @@ MAX_NODES = 10_000
 """Largest number of visited nodes: 30 nodes that each instantiate the next one twice expand to a billion."""
 
 DECIMALS = 8
-"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one metre."""
+"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one meter."""
 
 _BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
 
@@ -238,7 +238,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
         data = path.read_bytes()
         document = collada.Collada(io.BytesIO(data), ignore=[DaeError])
         broken = [match[1] for e in document.errors if (match := _BROKEN_MATERIAL.search(str(e)))]
-        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncoloured
+        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncolored
             bindings = b"|".join(re.escape(name.encode()) for name in broken)
             pattern = rb'<instance_material[^>]*target="#(?:%s)"[^>]*?(?:/>|>.*?</instance_material>)' % bindings
             document = collada.Collada(io.BytesIO(re.sub(pattern, b"", data, flags=re.DOTALL)), ignore=[DaeError])
@@ -302,7 +302,7 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
 def _appearance(
     material: Any, path: Path, has_uv: bool
 ) -> tuple[bytes | None, tuple[float, float, float, float] | None]:
-    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the colour."""
+    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the color."""
     from PIL import Image
 
     diffuse = None if material is None else material.effect.diffuse

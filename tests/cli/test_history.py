@@ -8,7 +8,7 @@ import pytest
 
 from simfoundry.spec.change.git import lookup
 from tests.cli.command import run
-from tests.cli.test_diff import BASE, CABINET, OVERLAY, Repository
+from tests.cli.repository import BASE, CABINET, OVERLAY, Repository
 
 FASTER = OVERLAY.replace("0.7", "0.9")
 ROUGHER = BASE.replace("friction: 0.35", "friction: 0.5")

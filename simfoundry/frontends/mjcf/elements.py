@@ -208,9 +208,9 @@ def _add_lights(source: MjcfSource) -> None:
 
 
 def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:
-    """Return the intensity of a light and its colour, whose largest channel is 1, from red, green and blue."""
+    """Return the intensity of a light and its color, whose largest channel is 1, from red, green and blue."""
     rgb = [max(0.0, v) for v in values]
-    strength = max(*rgb, 1e-9)  # a black light has no colour
+    strength = max(*rgb, 1e-9)  # a black light has no color
     return max(rgb), (rgb[0] / strength, rgb[1] / strength, rgb[2] / strength)
 
 

@@ -14,7 +14,7 @@ from simfoundry.frontends.draft import free_name
 from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote, Values, fallback, links_of, placed
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.scene.poses import STILL, UPRIGHT_DEG, pose_spec
+from simfoundry.scene.state import STILL, UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
@@ -29,7 +29,7 @@ def short(value: Any) -> Any:
 
 
 def srgb(linear: Iterable[float]) -> tuple[float, ...]:
-    """Convert scene-linear red, green and blue to a display colour with three digits per channel."""
+    """Convert scene-linear red, green and blue to a display color with three digits per channel."""
     return tuple(round(srgb_of_linear(min(max(float(v), 0.0), 1.0)), 3) for v in linear)
 
 
@@ -309,7 +309,7 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply colour, friction and restitution; if there are several parts, those of the first that changed."""
+    """Apply color, friction and restitution; if there are several parts, those of the first that changed."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
         if now is None:
@@ -317,7 +317,7 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain colour")
+                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain color")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
