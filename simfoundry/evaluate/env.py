@@ -21,10 +21,16 @@ from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
-from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress
-from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
+from simfoundry.evaluate.rollouts.control import (
+    Controller,
+    check_cameras,
+    checked_action,
+    physics_steps,
+    pictures,
+    readings,
+)
+from simfoundry.evaluate.rollouts.rollout import Progress
+from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState

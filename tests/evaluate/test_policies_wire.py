@@ -15,11 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from simfoundry.evaluate.policies import codec, groot_codec
 from simfoundry.evaluate.policies.base import ImageSize, PolicyError
-from simfoundry.evaluate.policies.chunk import actions_of
-from simfoundry.evaluate.policies.codec import CodecError
-from simfoundry.evaluate.policies.observation_keys import pictures, reading, resize_with_pad, roll_pitch_yaw
+from simfoundry.evaluate.policies.codec import GROOT_CODEC, OPENPI_CODEC, CodecError
+from simfoundry.evaluate.policies.remote import actions_of, pictures, reading, resize_with_pad, roll_pitch_yaw
 from simfoundry.geometry.frames import Pose
 from tests.evaluate.drive import JOINTS, observation, spec_of
 
@@ -29,7 +27,7 @@ ARRAYS = arrays.arrays(DTYPES, arrays.array_shapes(min_dims=0, min_side=0, max_s
 
 @given(array=ARRAYS)
 def test_arrays_come_back_as_they_were(array: np.ndarray[Any, Any]) -> None:
-    for pack, unpack in ((codec.pack, codec.unpack), (groot_codec.pack, groot_codec.unpack)):
+    for pack, unpack in ((c.pack, c.unpack) for c in (OPENPI_CODEC, GROOT_CODEC)):
         back = unpack(pack({"a": [array], "prompt": "größer"}))
         assert back["prompt"] == "größer"
         assert back["a"][0].dtype == array.dtype and back["a"][0].shape == array.shape
@@ -38,7 +36,7 @@ def test_arrays_come_back_as_they_were(array: np.ndarray[Any, Any]) -> None:
 
 @given(data=st.binary(max_size=200))
 def test_any_bytes_are_a_message_or_an_error_of_ours(data: bytes) -> None:
-    for unpack in (codec.unpack, groot_codec.unpack):
+    for unpack in (OPENPI_CODEC.unpack, GROOT_CODEC.unpack):
         with suppress(CodecError):
             unpack(data)
 
@@ -81,7 +79,7 @@ class Trap:
 )
 def test_what_is_no_array_is_refused(data: bytes, words: str) -> None:
     with pytest.raises(CodecError, match=words.replace("[", r"\[")):
-        codec.unpack(data)
+        OPENPI_CODEC.unpack(data)
 
 
 def npy(header: bytes, body: bytes = bytes(8), version: int = 1) -> Any:
@@ -118,19 +116,19 @@ def pickled() -> bytes:
 )
 def test_what_is_no_array_of_groot_is_refused(data: bytes, words: str) -> None:
     with pytest.raises(CodecError, match=words):
-        groot_codec.unpack(data)
+        GROOT_CODEC.unpack(data)
 
 
 @pytest.mark.parametrize("value", [object(), np.array([Trap()], dtype=object), np.zeros(2, "c8"), {1, 2}])
 def test_what_cannot_be_said_is_refused(value: Any) -> None:
-    for pack in (codec.pack, groot_codec.pack) if not isinstance(value, np.ndarray) else (codec.pack,):
+    for pack in (OPENPI_CODEC.pack, GROOT_CODEC.pack) if not isinstance(value, np.ndarray) else (OPENPI_CODEC.pack,):
         with pytest.raises(CodecError):
             pack({"a": value})
 
 
 def test_fortran_order_is_read() -> None:
     array = np.asfortranarray(np.arange(6.0).reshape(2, 3))
-    np.testing.assert_array_equal(groot_codec.unpack(groot_codec.pack(array)), np.arange(6.0).reshape(2, 3))
+    np.testing.assert_array_equal(GROOT_CODEC.unpack(GROOT_CODEC.pack(array)), np.arange(6.0).reshape(2, 3))
 
 
 CHUNK = np.hstack([np.tile(JOINTS, (15, 1)), np.linspace(0, 1, 15)[:, None]])

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simfoundry.evaluate.entries import open_policy, parse_policy
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.evaluate.policies.choice import open_policy, parse_policy
 from simfoundry.evaluate.policies.serve import serve
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

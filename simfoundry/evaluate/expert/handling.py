@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.candidates import Grasp, PlaceAt, down, grasps
 from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path
-from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.object_shapes import solid

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.candidates import Grasp, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
 from simfoundry.evaluate.expert.motion import ArmPlanner, Path
 from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.fingers import Jaws
+from simfoundry.robots.arm import Jaws
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject
 from simfoundry.scene.object_shapes import solid

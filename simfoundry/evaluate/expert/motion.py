@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import Jaws, finger_positions
+from simfoundry.robots.arm import Arm, Jaws, finger_positions
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
@@ -153,13 +152,13 @@ def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rn
     return None
 
 
-def _extend(tree: list[Array], parent: list[int], towards: Array, free: object) -> int | None:
+def _extend(tree: list[Array], parent: list[int], toward: Array, free: object) -> int | None:
     """Grow a tree by one step; return the index of the new posture."""
-    distance = np.abs(np.array(tree) - towards).max(axis=1)
+    distance = np.abs(np.array(tree) - toward).max(axis=1)
     nearest = int(distance.argmin())
     if distance[nearest] < 1e-9:
         return None
-    step = tree[nearest] + (towards - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
+    step = tree[nearest] + (toward - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
     if not _straight(tree[nearest], step, free):
         return None
     tree.append(step)

@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
+from simfoundry.evaluate.expert.candidates import PlaceAt, places
 from simfoundry.evaluate.expert.handling import pick, put
 from simfoundry.evaluate.expert.joints import lead
-from simfoundry.evaluate.expert.places import PlaceAt, places
 from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
-from simfoundry.evaluate.tasks.task import Task
+from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra

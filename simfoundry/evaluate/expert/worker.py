@@ -11,8 +11,7 @@ from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
 from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path, PlanningScene
 from simfoundry.evaluate.policies.base import Observation
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 
 JOINT, HAND = 1.1, 0.35

@@ -1,15 +1,239 @@
-"""Base class of policies behind servers: name, cameras, and validation of answers."""
+"""Policies behind servers: their observations, the validation of their answers, and statistics of the exchange."""
 
 from __future__ import annotations
 
+import importlib
+import math
+import os
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
-from simfoundry.evaluate.policies.chunk import actions_of
-from simfoundry.evaluate.policies.observation_keys import cameras_of
-from simfoundry.evaluate.policies.record import PolicyRecord
-from simfoundry.geometry.frames import Array
-from simfoundry.spec.models.policy import PolicySpec
+import numpy as np
+
+from simfoundry.evaluate.policies.base import (
+    ActionSpace,
+    Image,
+    ImageSize,
+    InvalidAnswerError,
+    Observation,
+    PolicyError,
+    RobotReading,
+)
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.runtime.extras import install_line
+from simfoundry.spec.models.policy import GripperConvention, PolicySpec
+
+
+def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
+    """Import an optional module; raises :class:`PolicyError` with the install command if it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        absent = getattr(error, "name", None) or module
+        raise PolicyError(f"{what} needs the package `{absent.partition('.')[0]}`; {install}") from None
+
+
+KEPT = 100
+"""Maximum number of error messages kept; further ones are only counted, to keep reports short."""
+
+
+@dataclass
+class PolicyRecord:
+    """Counts, times and errors of the queries to a policy, accumulated over rollouts.
+
+    ``seconds`` are the times [s] from each query to its answer, including reconnections and repeated queries.
+    """
+
+    questions: int = 0
+    connections: int = 0
+    reconnects: int = 0
+    failures: int = 0
+    errors: list[str] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def failed(self, sentence: str) -> None:
+        """Record an error."""
+        self.failures += 1
+        if len(self.errors) < KEPT:
+            self.errors.append(sentence)
+
+    def to_json(self) -> Mapping[str, Any]:
+        """Return numbers and messages for a report; times as median and maximum [s]."""
+        ordered = sorted(self.seconds)
+        return {
+            "questions": self.questions,
+            "connections": self.connections,
+            "reconnects": self.reconnects,
+            "failures": self.failures,
+            "errors": list(self.errors),
+            "median_s": ordered[len(ordered) // 2] if ordered else None,
+            "longest_s": ordered[-1] if ordered else None,
+        }
+
+
+def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
+    """Return the scene's cameras that a policy uses, with the size at which each is rendered.
+
+    If two keys show one camera in two sizes, the larger is rendered.
+    """
+    found: dict[str, ImageSize] = {}
+    for view in spec.cameras.values():
+        size = ImageSize(*(view.render or view.size))
+        known = found.get(view.camera)
+        if known is None or known.width * known.height < size.width * size.height:
+            found[view.camera] = size
+    return found
+
+
+def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
+    """Return each image under the policy's key; raises :class:`PolicyError` if a camera's image is missing."""
+    found: dict[str, Image] = {}
+    for key, view in spec.cameras.items():
+        image = observation.images.get(view.camera)
+        if image is None:
+            known = ", ".join(f"`{name}`" for name in observation.images) or "none"
+            message = f"there is no image of the camera `{view.camera}`, which {spec.name} needs as `{key}`"
+            raise PolicyError(f"{message}; there are: {known}")
+        found[key] = resize_with_pad(image, ImageSize(*view.size))
+    return found
+
+
+def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
+    """Return one sensor quantity of all robots in order as an array; see ``state`` of a policy document."""
+    rows = []
+    for robot in robots.values():
+        closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
+        match what:
+            case "joints":
+                rows.append(np.asarray(robot.joints, dtype=np.float64))
+            case "gripper":
+                rows.append(np.array([closed]))
+            case "joints_gripper":
+                rows.append(np.append(robot.joints, closed))
+            case "hand":
+                rows.append(np.concatenate([robot.X_BH.p, roll_pitch_yaw(robot.X_BH)]))
+            case _:
+                raise KeyError(what)
+    return np.concatenate(rows) if rows else np.zeros(0)
+
+
+def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
+    """Return the robots' state under the policy's keys, float32 as in DROID's recordings."""
+    wanted = default if spec.state is None else spec.state
+    return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
+
+
+def roll_pitch_yaw(pose: Pose) -> Array:
+    """Rotation as angles about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    r = pose.rotation
+    level = math.hypot(r[0, 0], r[1, 0])
+    pitch = math.atan2(-r[2, 0], level)
+    if level < 1e-9:  # gimbal lock: the whole rotation counts as roll
+        return np.array([math.atan2(-r[1, 2], r[1, 1]), pitch, 0.0])
+    return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+
+
+DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
+"""Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by the short form of a policy."""
+
+
+def droid_cameras(
+    keys: Mapping[str, str], size: tuple[int, int], render: tuple[int, int]
+) -> dict[str, dict[str, object]]:
+    """Return the camera views used by DROID's policies; ``keys`` are their names in a protocol."""
+    return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in keys.items()}
+
+
+def resize_with_pad(image: Image, size: ImageSize) -> Image:
+    """Fit an image, shape (h, w, 3), into ``size``, centered on black, shape (size.height, size.width, 3).
+
+    Bilinear with Pillow's filter, which averages when it shrinks; sides are rounded down. Gives the same pixels as
+    ``openpi_client.image_tools.resize_with_pad``, on which the policies were trained.
+    """
+    height, width = image.shape[:2]
+    if (height, width) == (size.height, size.width):
+        return image
+    from PIL import Image as Pictures
+
+    ratio = max(width / size.width, height / size.height)
+    inner = max(1, int(width / ratio)), max(1, int(height / ratio))
+    small = np.asarray(Pictures.fromarray(np.ascontiguousarray(image)).resize(inner, Pictures.Resampling.BILINEAR))
+    top, left = (size.height - inner[1]) // 2, (size.width - inner[0]) // 2
+    out = np.zeros((size.height, size.width, 3), dtype=np.uint8)
+    out[top : top + inner[1], left : left + inner[0]] = small
+    return out
+
+
+def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
+    """Return the first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
+
+    Joints are in rad, m, rad/s or m/s; grippers from 0 open to 1 closed. Raises :class:`InvalidAnswerError` if the
+    answer is not such an array.
+    """
+    width = sum(len(robot.joints) + 1 for robot in robots.values())
+    chunk = _checked(spec, answer, width, _words(robots))
+    out = np.array(chunk[: spec.horizon], dtype=np.float64)
+    at = 0
+    for robot in robots.values():
+        joints = slice(at, at + len(robot.joints))
+        if spec.velocity_unit is not None:
+            out[:, joints] = np.clip(out[:, joints], -1, 1) * spec.velocity_unit
+        out[:, joints.stop] = gripper_of(spec, out[:, joints.stop])
+        at = joints.stop + 1
+    return out
+
+
+def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
+    """Convert the policy's gripper numbers to 0 open to 1 closed, shape (n,)."""
+    convention = spec.gripper
+    closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
+    return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
+
+
+def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
+    if not isinstance(answer, np.ndarray):
+        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+    if answer.dtype.kind not in "fiu":
+        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+    if answer.ndim != 2:
+        raise InvalidAnswerError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
+    if answer.shape[1] != width:
+        message = f"{spec.name} answered with {answer.shape[1]} numbers per action, but the robots take {width}"
+        raise InvalidAnswerError(f"{message}: {words}")
+    if len(answer) < spec.horizon:
+        message = f"{spec.name} answered with {len(answer)} actions, but its `horizon` is {spec.horizon}"
+        raise InvalidAnswerError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
+    wrong = np.argwhere(~np.isfinite(answer))
+    if len(wrong):
+        step, column = (int(v) for v in wrong[0])
+        raise InvalidAnswerError(
+            f"{spec.name} answered with `{answer[step, column]}` in action {step}, number {column}"
+        )
+    return answer
+
+
+def _shape(array: np.ndarray[Any, Any]) -> str:
+    return f"({', '.join(map(str, array.shape))})"
+
+
+def _words(robots: Mapping[str, RobotReading]) -> str:
+    return ", ".join(f"{len(robot.joints)} joints and a gripper of `{name}`" for name, robot in robots.items())
+
+
+def secret(spec: PolicySpec) -> str | None:
+    """Return the key for a policy's server, or None if it needs none; raises :class:`PolicyError` if it is not set."""
+    if spec.api_key is None:
+        return None
+    key = os.environ.get(spec.api_key, "").strip()
+    if not key:
+        raise PolicyError(f"{spec.name} takes the key of its server from {spec.api_key}, which is not set")
+    if not key.isascii() or not key.isprintable():
+        raise PolicyError(
+            f"the value of {spec.api_key} is not a valid key: it has characters that are not allowed in a header"
+        )
+    return key
 
 
 class RemotePolicy:

@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
-from simfoundry.evaluate.policies.codec import CodecError, pack, unpack
-from simfoundry.evaluate.policies.missing import needed
-from simfoundry.evaluate.policies.record import PolicyRecord
-from simfoundry.evaluate.policies.secret import secret
+from simfoundry.evaluate.policies.codec import OPENPI_CODEC, CodecError
+from simfoundry.evaluate.policies.remote import PolicyRecord, needed, secret
 from simfoundry.spec.models.policy import PolicySpec, address_uri
 
 if TYPE_CHECKING:
@@ -87,7 +85,7 @@ class Connection:
     def _packed(self, message: Mapping[str, Any]) -> bytes:
         needed("msgpack", f"the protocol of {self.spec.protocol}")
         try:
-            return pack(message)
+            return OPENPI_CODEC.pack(message)
         except CodecError as error:
             raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
 
@@ -193,7 +191,7 @@ class Connection:
             self.close()
             raise self.fail(f"the server at {self.uri} failed: {last_line(data)}", InvalidAnswerError)
         try:
-            return unpack(data)
+            return OPENPI_CODEC.unpack(data)
         except CodecError as error:
             self.close()
             raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
