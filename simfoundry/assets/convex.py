@@ -156,8 +156,8 @@ def _simplest(
 
 def _is_solid(vertices: Array) -> bool:
     """Return True if points span a volume; slivers make contacts unstable."""
-    centred = np.asarray(vertices) - np.mean(vertices, axis=0)
-    return len(vertices) >= 4 and float(np.linalg.svd(centred, compute_uv=False)[2]) > 1e-5
+    centered = np.asarray(vertices) - np.mean(vertices, axis=0)
+    return len(vertices) >= 4 and float(np.linalg.svd(centered, compute_uv=False)[2]) > 1e-5
 
 
 def file_key(path: Path, scale: float, how: str) -> str:
@@ -176,7 +176,7 @@ def pack_colliders(found: Colliders) -> bytes:
     if found.primitive is not None:
         body = found.primitive
         kind = np.array([KINDS.index(body.kind)], dtype=np.int32)
-        arrays |= {"kind": kind, "size": np.array(body.size), "rotation": body.rotation, "centre": body.centre}
+        arrays |= {"kind": kind, "size": np.array(body.size), "rotation": body.rotation, "center": body.center}
     np.savez(stream, allow_pickle=False, **arrays)
     return stream.getvalue()
 
@@ -190,7 +190,7 @@ def unpack_colliders(data: bytes) -> Colliders | None:
             primitive = None
             if "kind" in arrays.files:
                 size = tuple(float(v) for v in arrays["size"])
-                primitive = Primitive(KINDS[int(arrays["kind"][0])], size, arrays["rotation"], arrays["centre"])
+                primitive = Primitive(KINDS[int(arrays["kind"][0])], size, arrays["rotation"], arrays["center"])
             return Colliders(parts, primitive, float(arrays["error"][0]))
     except (ValueError, OSError, KeyError, EOFError, IndexError, zipfile.BadZipFile):
         return None

@@ -12,7 +12,7 @@ SMALLEST, LARGEST = 0.001, 20.0
 """Plausible extents of anything on, around or under a table [m]."""
 
 LEAST_VOLUME = 1e-10
-"""Smallest volume of a solid [m^3]: a tenth of a cubic millimetre."""
+"""Smallest volume of a solid [m^3]: a tenth of a cubic millimeter."""
 
 
 class MeshError(Exception):
@@ -27,12 +27,12 @@ def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
     """Return the error for a mesh whose longest side is ``size`` [m] at ``scale``, or None if the size is plausible."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
-        millimetres = SMALLEST < size / 1000 < LARGEST
-        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
+        millimeters = SMALLEST < size / 1000 < LARGEST
+        hint = f"it looks like millimeters: `scale: {0.001 * scale:g}`" if millimeters else "set `scale`"
         return MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
     if size < SMALLEST:
-        hint = "set `scale`, the metres of one unit of the mesh"
-        return MeshError("SF303", f"{shown}, less than a millimetre", hint)
+        hint = "set `scale`, the meters of one unit of the mesh"
+        return MeshError("SF303", f"{shown}, less than a millimeter", hint)
     return None
 
 

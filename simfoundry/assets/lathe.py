@@ -83,7 +83,7 @@ def ring_faces(rings: int, sides: int) -> Faces:
 def lathe_parts(profile: Array) -> list[Array]:
     """Return the corner points of convex parts that form the body of a checked profile.
 
-    The profile is cut into bands at the heights of its corners; neighbouring bands are joined while they stay nearly
+    The profile is cut into bands at the heights of its corners; neighboring bands are joined while they stay nearly
     convex. A band that reaches the axis is one part, a ring is cut into sectors.
     """
     return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]

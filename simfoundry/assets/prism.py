@@ -25,7 +25,7 @@ def checked_outline(outline: Array) -> Array:
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
-    """Return vertices and faces of the closed prism over a counter-clockwise outline, centred in height."""
+    """Return vertices and faces of the closed prism over a counter-clockwise outline, centered in height."""
     n = len(outline)
     low = np.column_stack([outline, np.full(n, -height / 2)])
     high = np.column_stack([outline, np.full(n, height / 2)])

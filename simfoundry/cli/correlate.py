@@ -55,7 +55,7 @@ def command(
     )
 
     if svg is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)

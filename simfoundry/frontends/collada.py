@@ -1,4 +1,4 @@
-"""Read COLLADA meshes (.dae) with pycollada: triangles with materials, posed by their scene, in metres with z up."""
+"""Read COLLADA meshes (.dae) with pycollada: triangles with materials, posed by their scene, in meters with z up."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_NODES = 10_000
 """Largest number of visited nodes: 30 nodes that each instantiate the next one twice expand to a billion."""
 
 DECIMALS = 8
-"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one metre."""
+"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one meter."""
 
 _BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
 
@@ -51,7 +51,7 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
         data = path.read_bytes()
         document = collada.Collada(io.BytesIO(data), ignore=[DaeError])
         broken = [match[1] for e in document.errors if (match := _BROKEN_MATERIAL.search(str(e)))]
-        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncoloured
+        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncolored
             bindings = b"|".join(re.escape(name.encode()) for name in broken)
             pattern = rb'<instance_material[^>]*target="#(?:%s)"[^>]*?(?:/>|>.*?</instance_material>)' % bindings
             document = collada.Collada(io.BytesIO(re.sub(pattern, b"", data, flags=re.DOTALL)), ignore=[DaeError])
@@ -115,7 +115,7 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
 def _appearance(
     material: Any, path: Path, has_uv: bool
 ) -> tuple[bytes | None, tuple[float, float, float, float] | None]:
-    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the colour."""
+    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the color."""
     from PIL import Image
 
     diffuse = None if material is None else material.effect.diffuse

@@ -1,4 +1,4 @@
-"""Values of imported documents: file paths, rounded numbers, poses, and colours."""
+"""Values of imported documents: file paths, rounded numbers, poses, and colors."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: Rgba) -> tuple[float, ...]:
-    """Return a colour rounded to display precision, which removes the noise of single precision."""
+    """Return a color rounded to display precision, which removes the noise of single precision."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 

@@ -326,7 +326,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
     """Return True if the inertia of a link is that of its only shape at uniform density."""
-    from simfoundry.scene.shape_bodies import shape_body
+    from simfoundry.scene.bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)
     if not link.mass:

@@ -69,7 +69,7 @@ class ImportNote:
 class MeshDraft:
     """Mesh file with its associated files.
 
-    ``files`` contains names and bytes, the mesh first; ``scale`` is in metres per unit; ``source`` is the original file
+    ``files`` contains names and bytes, the mesh first; ``scale`` is in meters per unit; ``source`` is the original file
     if it is identical to the first one, so that a document nearby can refer to it directly.
     """
 
@@ -80,7 +80,7 @@ class MeshDraft:
 
 @dataclass
 class ContactDraft:
-    """Contact parameters of a part or a link; None if unspecified. ``torsional`` and ``rolling`` are in metres."""
+    """Contact parameters of a part or a link; None if unspecified. ``torsional`` and ``rolling`` are in meters."""
 
     friction: float | None = None
     restitution: float | None = None
@@ -114,7 +114,7 @@ class PartDraft:
 class LinkDraft:
     """Rigid body.
 
-    ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the centre of mass, in link axes) are None if the file
+    ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
     does not specify them; the mass then follows from ``density`` [kg/m^3] and the parts.
     """
 

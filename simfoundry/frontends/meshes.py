@@ -94,7 +94,7 @@ def _beside(name: str, folder: Path, search: FileSearch) -> Path | None:
 
 
 def _baked(path: Path, scale: Scale) -> MeshDraft:
-    """Return the mesh as an OBJ in metres."""
+    """Return the mesh as an OBJ in meters."""
     if path.suffix.lower() == ".dae":
         from simfoundry.frontends.collada import read_collada
 
@@ -107,7 +107,7 @@ def _baked(path: Path, scale: Scale) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return an OBJ in metres with a material for each part that has its own colour or texture."""
+    """Return an OBJ in meters with a material for each part that has its own color or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):

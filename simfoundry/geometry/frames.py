@@ -36,7 +36,7 @@ class Pose:
 
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
-        """Build a pose from any position and any non-zero quaternion (normalised, with ``w >= 0``)."""
+        """Build a pose from any position and any non-zero quaternion (normalized, with ``w >= 0``)."""
         w, x, y, z = map(float, q)  # four numbers: plain Python is faster than arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.reports.labels import Label, place_labels
+from simfoundry.reports.pictures import Label, place_labels
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.poses import motion, words
@@ -29,10 +29,10 @@ COLORS = {
     "removed": (0xE0, 0x31, 0x31),
     "changed": (0x1C, 0x7E, 0xD6),
 }
-"""Colours of the marks in pictures and in the list (sRGB bytes)."""
+"""Colors of the marks in pictures and in the list (sRGB bytes)."""
 
 SEEN_M, SEEN_DEG = 5e-4, 0.1
-"""Smallest indirect move that is reported: half a millimetre and a tenth of a degree; smaller ones result from solving
+"""Smallest indirect move that is reported: half a millimeter and a tenth of a degree; smaller ones result from solving
 a placement again."""
 
 

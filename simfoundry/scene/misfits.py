@@ -21,7 +21,7 @@ from simfoundry.scene.place import PlaceError, approach, misfit
 from simfoundry.spec.models.place import Place
 
 POINTS = 600
-"""Number of surface points whose plumb lines are tested: one every few millimetres on a hand-sized mesh."""
+"""Number of surface points whose plumb lines are tested: one every few millimeters on a hand-sized mesh."""
 
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square."""

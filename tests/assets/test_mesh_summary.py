@@ -23,7 +23,7 @@ from tests.assets.meshes import blob, block, obj
 from tests.conftest import REPOSITORY
 
 BAD = REPOSITORY / "tests" / "spec" / "bad" / "meshes"
-MESHES = ("cube.obj", "open.obj", "flat.obj", "empty.obj", "nan.obj", "points.obj", "millimetres.obj", "not_a_mesh.stl")
+MESHES = ("cube.obj", "open.obj", "flat.obj", "empty.obj", "nan.obj", "points.obj", "millimeters.obj", "not_a_mesh.stl")
 FIELDS = (
     "",
     "solid: hull, ",

@@ -61,7 +61,7 @@ def _cut(folder: Path) -> None:
 
 
 BAD = {
-    "no colour": (_no_file("color.png"), "SF203", ":5:12", "there is no file `color.png`"),
+    "no color": (_no_file("color.png"), "SF203", ":5:12", "there is no file `color.png`"),
     "no depth": (_no_file("depth.png"), "SF203", ":7:14", "there is no file `depth.png`"),
     "no document": (_no_file("capture.yaml"), "SF001", "capture.yaml: error", "has no capture.yaml"),
     "no YAML": (_no_yaml, "SF002", ":1:", ""),
@@ -130,7 +130,7 @@ def test_a_folder_without_a_document_says_what_it_must_hold(tmp_path: Path) -> N
     assert run("check", tmp_path / "photos").code == 0  # the example is a document
 
 
-def test_a_misspelt_frame(tmp_path: Path) -> None:
+def test_a_misspelled_frame(tmp_path: Path) -> None:
     folder = write(tmp_path / "capture")
     done = run("capture", folder, "-o", tmp_path / "out", "--frame", "veiw")
     assert done.code == 2

@@ -51,7 +51,7 @@ def test_gymnasium_finds_no_fault(push_file: Path) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(made.unwrapped)
-    # Positions in the world have no bounds, and actions are in radians and metres, as the robots take them.
+    # Positions in the world have no bounds, and actions are in radians and meters, as the robots take them.
     usual = ("infinity", "symmetric and normalized")
     assert [str(w.message) for w in caught if not any(part in str(w.message) for part in usual)] == []
     made.close()

@@ -44,7 +44,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_units_axes_nodes_and_colors(path: Path) -> None:
-    """A tetrahedron's corners in centimetres with y up, moved by two nodes of which one mirrors."""
+    """A tetrahedron's corners in centimeters with y up, moved by two nodes of which one mirrors."""
     nodes = f'<node id="a"><translate>0 100 0</translate><node id="b"><scale>1 1 -1</scale>{PLACED}</node></node>'
     path.write_text(collada(nodes, asset='<unit meter="0.01"/><up_axis>Y_UP</up_axis>'))
     (part,) = read_collada(path, (1.0, 1.0, 2.0))

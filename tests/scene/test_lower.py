@@ -1,4 +1,4 @@
-"""From documents to the lowered scene: masses, colours, joints, and the same bytes every time."""
+"""From documents to the lowered scene: masses, colors, joints, and the same bytes every time."""
 
 from __future__ import annotations
 
@@ -121,12 +121,12 @@ def test_mass_goes_before_density_before_material(tmp_path: Path, body: str, mas
         ("material: wood, color: [0, 0.5, 1, 0.25]", (0, 0.5, 1, 0.25)),
     ],
 )
-def test_the_nearest_colour_counts(tmp_path: Path, body: str, rgba: tuple[float, ...]) -> None:
+def test_the_nearest_color_counts(tmp_path: Path, body: str, rgba: tuple[float, ...]) -> None:
     link = only_link(tmp_path, f"{MATERIALS}objects:\n  thing: {{{BOX}, {body}}}\n")
     assert_allclose(link.visuals[0].rgba, rgba)
 
 
-def test_a_mesh_keeps_its_own_colour_before_its_materials(tmp_path: Path) -> None:
+def test_a_mesh_keeps_its_own_color_before_its_materials(tmp_path: Path) -> None:
     import trimesh
 
     cube = trimesh.Trimesh(*block((0.1, 0.1, 0.1)), process=False, vertex_colors=[[51, 102, 255, 255]] * 8)

@@ -23,7 +23,7 @@ from simfoundry.scene.misfits import certain_misfits, uncut
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
-from simfoundry.scene.poses import with_poses
+from simfoundry.scene.state import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.place import Place
@@ -111,8 +111,8 @@ def test_a_thing_whose_frame_is_not_in_its_middle_is_put_by_its_middle() -> None
     anchor = solid("anchor", CUBE, pose(0.5 - 0.1, 0.2 - 0.3, 0.05))
     aside = replace(anchor.links[0].colliders[0], X_LG=pose(0.1, 0.3, 0))
     anchor = replace(anchor, links=(replace(anchor.links[0], colliders=(aside,)),))
-    centred = put(wedge, Place(on="desk", yaw_deg=90), DESK)
-    assert centred.X_WO.p == pytest.approx([0.4 + 0.1, 0.1 - 0.2, 0.02 - 0.3 + CLEARANCE], abs=ROUNDING)
+    centered = put(wedge, Place(on="desk", yaw_deg=90), DESK)
+    assert centered.X_WO.p == pytest.approx([0.4 + 0.1, 0.1 - 0.2, 0.02 - 0.3 + CLEARANCE], abs=ROUNDING)
     beside = put(wedge, Place(on="desk", behind="anchor", gap=0.01), DESK, anchor)
     assert beside.X_WO.p[:2] == pytest.approx([0.5 + 0.05 + 0.01 + 0.05 - 0.2, 0.2 - 0.1], abs=ROUNDING)
     framed = put(wedge, Place(on="desk", xy=(0.1, 0.2)), DESK)

@@ -68,7 +68,7 @@ class Grasp:
 
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
-    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] towards eight sides."""
+    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] toward eight sides."""
     angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
     return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm, Jaws, finger_positions
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
@@ -135,14 +135,14 @@ class _Tree:
     def __init__(self, root: Array) -> None:
         self.postures, self._parents = [root], [-1]
 
-    def extend(self, towards: Array, free: Free) -> int | None:
+    def extend(self, toward: Array, free: Free) -> int | None:
         """Grow by one step; return the index of the new posture."""
-        distance = np.abs(np.array(self.postures) - towards).max(axis=1)
+        distance = np.abs(np.array(self.postures) - toward).max(axis=1)
         nearest = int(distance.argmin())
         if distance[nearest] < 1e-9:
             return None
         start = self.postures[nearest]
-        step = start + (towards - start) * min(1.0, STRIDE / distance[nearest])
+        step = start + (toward - start) * min(1.0, STRIDE / distance[nearest])
         if not _straight(start, step, free):
             return None
         self.postures.append(step)

@@ -197,7 +197,7 @@ def _add_lights(source: MjcfSource) -> None:
         if not bool(model.light_active[k]):
             continue
         diffuse = [max(0.0, float(v)) for v in model.light_diffuse[k]]
-        strength = max(*diffuse, 1e-9)  # a black light has no colour
+        strength = max(*diffuse, 1e-9)  # a black light has no color
         color = (diffuse[0] / strength, diffuse[1] / strength, diffuse[2] / strength)
         x, y, z = model.light_pos[k].tolist()
         dx, dy, dz = model.light_dir[k].tolist()

@@ -26,7 +26,7 @@ HIDDEN_GROUP = 3
 """First group that MuJoCo's viewers hide by default; geoms in it are for contact only."""
 
 UNSET = (0.5, 0.5, 0.5, 1.0)
-"""Default colour of a geom in MuJoCo."""
+"""Default color of a geom in MuJoCo."""
 
 
 class MjcfGeoms:
@@ -79,7 +79,7 @@ class MjcfGeoms:
         return "collision" if hidden else "both"
 
     def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
-        """Return the part with its contact parameters and colour."""
+        """Return the part with its contact parameters and color."""
         model = self.model
         if part.collides:
             sliding, spinning, rolling = model.geom_friction[geom].tolist()
@@ -98,7 +98,7 @@ class MjcfGeoms:
         return part
 
     def rgba(self, geom: int) -> Rgba:
-        """Return the colour of a geom: its own, or that of its material."""
+        """Return the color of a geom: its own, or that of its material."""
         model, material = self.model, int(self.model.geom_matid[geom])
         own: Rgba = tuple(float(np.clip(v, 0, 1)) for v in model.geom_rgba[geom])  # type: ignore[assignment]
         if own != UNSET or material < 0:
@@ -106,7 +106,7 @@ class MjcfGeoms:
         return tuple(float(np.clip(v, 0, 1)) for v in model.mat_rgba[material])  # type: ignore[return-value]
 
     def texture(self, material: int) -> int:
-        """Return the id of the colour texture of a material; -1 if none can be applied to a mesh."""
+        """Return the id of the color texture of a material; -1 if none can be applied to a mesh."""
         if material < 0:
             return -1
         roles = np.ravel(self.model.mat_texid[material])
@@ -127,7 +127,7 @@ class MjcfGeoms:
         return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
     def baked(self, geom: int) -> MeshPart:
-        """Return the mesh of a geom in the frame of its body, with its colour and texture."""
+        """Return the mesh of a geom in the frame of its body, with its color and texture."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         texture = self.texture(int(model.geom_matid[geom]))
         part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))

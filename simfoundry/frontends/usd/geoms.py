@@ -193,7 +193,7 @@ class UsdGprims:
         return UsdSurface(contact, density * self.to_kg / self.to_m**3 if density else None)
 
     def look(self, prim: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the colour of a gprim, and the PNG of its texture."""
+        """Return the color of a gprim, and the PNG of its texture."""
         material, _ = self.pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
         shader = material.ComputeSurfaceSource()[0] if material else None
         if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
@@ -206,7 +206,7 @@ class UsdGprims:
         return _rgba(colors[0], float(opacity[0]) if opacity else 1.0), None
 
     def preview(self, shader: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the colour and texture of a UsdPreviewSurface."""
+        """Return the color and texture of a UsdPreviewSurface."""
         diffuse, opacity = shader.GetInput("diffuseColor"), shader.GetInput("opacity")
         if not diffuse:
             return None, None
@@ -250,7 +250,7 @@ def _fans(counts: Any) -> Any:
 
 
 def _rgba(linear: Sequence[float], alpha: float) -> Rgba:
-    """Convert a linear USD colour to sRGB."""
+    """Convert a linear USD color to sRGB."""
     r, g, b = (srgb_of_linear(min(max(float(v), 0.0), 1.0)) for v in linear)
     return r, g, b, min(max(alpha, 0.0), 1.0)
 

@@ -1,4 +1,4 @@
-"""Read masses, centres of mass and inertias of rigid bodies in a USD stage, in SI units."""
+"""Read masses, centers of mass and inertias of rigid bodies in a USD stage, in SI units."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], g
 
 
 def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
-    """Set the centre of mass and inertia of a body, in the link frame, if the stage specifies them."""
+    """Set the center of mass and inertia of a body, in the link frame, if the stage specifies them."""
     link, X_LB = body.link, body.X_BL.inverse()
     com = api.GetCenterOfMassAttr().Get()
     is_given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)

@@ -143,7 +143,7 @@ class _UsdReader:
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform from the units and frame of a prim to metres in the world, z up, shape (4, 4)."""
+        """Return the transform from the units and frame of a prim to meters in the world, z up, shape (4, 4)."""
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")

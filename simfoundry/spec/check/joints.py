@@ -57,7 +57,7 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
     elif joint.type == "ball" and isinstance(written, PoseSpec) and any(written.xyz):
         c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "give a rotation only")
     elif isinstance(written, Degrees) and joint.type == "prismatic":
-        c.add("SF103", place, f"`{name}` is prismatic: its position is in metres, not degrees")
+        c.add("SF103", place, f"`{name}` is prismatic: its position is in meters, not degrees")
     else:
         return True
     return False

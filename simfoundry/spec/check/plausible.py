@@ -1,4 +1,4 @@
-"""Plausible densities, which reveal masses in grams and sizes in millimetres."""
+"""Plausible densities, which reveal masses in grams and sizes in millimeters."""
 
 from __future__ import annotations
 

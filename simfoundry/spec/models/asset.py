@@ -31,10 +31,10 @@ class PartSpec(Model):
 
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
-    color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
         "both",
         description="`visual` is only rendered: it neither collides nor has mass; `collision` collides and has mass, "
@@ -52,11 +52,11 @@ class PartSpec(Model):
 class Inertial(Model):
     """A measured inertia, which replaces the one computed from the parts."""
 
-    com: Point3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
+    com: Point3 = Field((0.0, 0.0, 0.0), description="Center of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
-        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
-        "the parts about their own centre of mass.",
+        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: that of "
+        "the parts about their own center of mass.",
     )
 
     @model_validator(mode="after")
@@ -94,7 +94,7 @@ class LinkSpec(BodySpec):
     """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
 
     parts: dict[Name, PartSpec] = Field({}, description="Its parts, by name.")
-    inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
+    inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; needs `mass`.")
 
     @model_validator(mode="after")
     def _mass(self) -> Self:
@@ -107,7 +107,7 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """Return True if mass, centre of mass and inertia are given, so that the parts need no mass."""
+        """Return True if mass, center of mass and inertia are given, so that the parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -172,7 +172,7 @@ class JointSpec(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.type == "prismatic" and self.limits is None:
-            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in metres")
+            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in meters")
         if self.type == "revolute" and self.limits_deg is None:
             raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
         for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):

@@ -66,7 +66,7 @@ class ObjectVariants(Model):
     changes: tuple[Change, ...] = Field(
         ("geometry", "appearance"),
         min_length=1,
-        description="Aspects that may differ: shape, parts, or colour and material.",
+        description="Aspects that may differ: shape, parts, or color and material.",
     )
     components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all of them.")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")

@@ -100,7 +100,7 @@ def box_mesh(size: tuple[float, float, float], faces: dict[str, Image.Image], gr
 
 
 def can_mesh(radius: float, height: float, label: Image.Image, sides: int = 48) -> Mesh:
-    """A can with a label around it, its seam on the far side, and a grey lid and base."""
+    """A can with a label around it, its seam on the far side, and a gray lid and base."""
     angle = np.arange(sides + 1) / sides * 2 * np.pi
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     u = np.arange(sides + 1) / sides

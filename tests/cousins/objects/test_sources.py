@@ -32,7 +32,7 @@ from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.shapes import Capsule
 from simfoundry.geometry.tessellate import tessellate
-from simfoundry.models.web import ModelError
+from simfoundry.models.generators import ModelError
 from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material

@@ -247,7 +247,7 @@ def test_a_task_goes_out_and_comes_back(tmp_path: Path, name: str, format_: str)
         found = back.reset.objects[key]
         if format_ == "libero":
             assert (*found.x, *found.y) == pytest.approx((*region.x, *region.y), abs=1e-4)
-        else:  # the release centres ranges on the pose of the scene
+        else:  # the release centers ranges on the pose of the scene
             assert found.x[0] <= region.x[0] + 1e-6 and found.x[1] >= region.x[1] - 1e-6
 
 

@@ -89,7 +89,7 @@ def findings_of(path: Path) -> set[tuple[str, int]]:
 
 
 def pictures(folder: Path) -> None:
-    """A colour and a depth picture of 640 x 480 pixels; the depth, in millimetres, is about that of a desk."""
+    """A color and a depth picture of 640 x 480 pixels; the depth, in millimeters, is about that of a desk."""
     from PIL import Image
 
     Image.fromarray(np.full((480, 640, 3), 120, np.uint8)).save(folder / "color.png")

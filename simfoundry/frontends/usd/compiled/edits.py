@@ -14,7 +14,7 @@ from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links
 from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
+from simfoundry.scene.state import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
@@ -223,7 +223,7 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply colour, friction and restitution; if there are several parts, those of the first that changed."""
+    """Apply color, friction and restitution; if there are several parts, those of the first that changed."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
         if now is None:
@@ -231,7 +231,7 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain colour")
+                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain color")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb

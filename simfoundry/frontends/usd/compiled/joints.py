@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.frontends.usd.compiled.stage import StageMember, Values, placed
 from simfoundry.frontends.usd.compiled.values import StageNote
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.poses import STILL
+from simfoundry.scene.state import STILL
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
 """Tolerances [m, rad] within which a link counts as moved along its joint, because manual moves are inexact."""

@@ -1,4 +1,4 @@
-"""Conversion of numbers, colours and names in a stage to readable document values."""
+"""Conversion of numbers, colors and names in a stage to readable document values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def short(value: Any) -> Any:
 
 
 def srgb(linear: Iterable[float]) -> tuple[float, ...]:
-    """Convert scene-linear red, green and blue to a display colour with three digits per channel."""
+    """Convert scene-linear red, green and blue to a display color with three digits per channel."""
     return tuple(round(srgb_of_linear(min(max(float(v), 0.0), 1.0)), 3) for v in linear)
 
 

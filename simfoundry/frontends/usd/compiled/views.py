@@ -56,7 +56,7 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, with `look_at` if the image is upright.
 
-    The target point has the same distance as in the previous text, or one metre.
+    The target point has the same distance as in the previous text, or one meter.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -69,7 +69,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """Return an edited light: intensity, colour, and position or direction."""
+    """Return an edited light: intensity, color, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
