@@ -9,13 +9,15 @@ from pathlib import Path
 from simfoundry.api.scene_document import SceneDocument
 from simfoundry.errors import SimfoundryError
 
-IMPORTED = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
-"""File suffixes that frontends read."""
-
 
 def load_scene_document(path: Path) -> SceneDocument:
     """Return the scene document at a path, or the document imported from another format."""
-    return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        from simfoundry.frontends.registry import model_suffixes
+
+        if path.suffix.lower() in model_suffixes():
+            return _imported(path)
+    return SceneDocument.load(path)
 
 
 def is_compiled_stage(path: Path) -> bool:

@@ -28,6 +28,7 @@ T = TypeVar("T")
 
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
+    "simfoundry.importers": "importer",
     "simfoundry.lints": "lint",
     "simfoundry.policies": "policy protocol",
     "simfoundry.predicates": "predicate",
