@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import Array, Pose
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A colour picture with depth registered to it.
+    """A color picture with depth registered to it.
 
     ``color`` uint8 RGB, shape (h, w, 3); ``depth`` [m] along the optical axis, float64, shape (h, w), NaN where there
     is none; ``K`` the intrinsics [px], shape (3, 3); ``instances`` int32, shape (h, w), 0 where there is no object and
@@ -91,7 +91,7 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
         raise CaptureError(
             "SF502",
             "the depth picture has no valid pixel",
-            "check that the depth file belongs to the colour picture, and which values the capture declares invalid",
+            "check that the depth file belongs to the color picture, and which values the capture declares invalid",
         )
     valid = finite & (depth >= NEAREST) & (depth <= FARTHEST)
     if not valid.any():
@@ -106,19 +106,19 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
 
 
 def _wrong_unit(median: float) -> CaptureError:
-    units = [("millimetres", 0.001), ("tenths of a millimetre", 0.0001), ("micrometres", 1e-6)]
+    units = [("millimeters", 0.001), ("tenths of a millimeter", 0.0001), ("micrometers", 1e-6)]
     for name, scale in units:
         if NEAREST <= median * scale <= FARTHEST:
-            guess = f"it seems to be in {name}", f"set the depth scale of the capture to {scale:g} (metres per unit)"
+            guess = f"it seems to be in {name}", f"set the depth scale of the capture to {scale:g} (meters per unit)"
             break
     else:
         if NEAREST <= median * 1000 <= FARTHEST:
             guess = (
-                "it seems to be in kilometres, as when a scale of 0.001 is applied twice",
+                "it seems to be in kilometers, as when a scale of 0.001 is applied twice",
                 "multiply the depth scale of the capture by 1000",
             )
         else:
-            guess = "its unit is not one a sensor writes", "set the depth scale of the capture (metres per unit)"
+            guess = "its unit is not one a sensor writes", "set the depth scale of the capture (meters per unit)"
     return CaptureError(
         "SF502",
         f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {guess[0]}",

@@ -130,7 +130,7 @@ def _settled(
     """Settle the scene, and write spec and meshes beside ``scene_file`` with the poses and relations at rest.
 
     An object whose fitted solid does not come to rest is left out, and the others settle anew.
-    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimetre decides.
+    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimeter decides.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 

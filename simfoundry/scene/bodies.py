@@ -1,4 +1,4 @@
-"""Build one rigid body from shapes and meshes: visuals, colliders, mass, centre of mass and inertia."""
+"""Build one rigid body from shapes and meshes: visuals, colliders, mass, center of mass and inertia."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from simfoundry.assets.mesh import MeshPart
     from simfoundry.scene.mesh_bodies import MeshBody
 
-GREY = (0.7, 0.7, 0.7, 1.0)
+GRAY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of a piece without one, which is allowed if its body is fixed or has a given mass."""
 
@@ -183,11 +183,11 @@ class BodyBuilder:
         return Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """Return the color: the part's, the body's, the mesh's own, the material's, or grey, in this order."""
+        """Return the color: the part's, the body's, the mesh's own, the material's, or gray, in this order."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
                 return frozen((*color, 1.0)[:4])
-        return frozen(GREY)
+        return frozen(GRAY)
 
 
 def _use(part: PartSpec | None) -> str:
@@ -259,13 +259,13 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
         case CapsuleShape(capsule=c):
             geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
         case PrismShape(prism=p):
-            from simfoundry.assets.prism import prism_mesh
+            from simfoundry.assets.solids import prism_mesh
 
             outline, parts, _ = _cut(shape, cache)
             whole = prism_mesh(outline, p.height)
             return ShapeBody(closed_mesh(*whole), mass.mesh(*whole), parts)
         case LatheShape():
-            from simfoundry.assets.lathe import lathe_mesh
+            from simfoundry.assets.solids import lathe_mesh
 
             profile, parts, error = _cut(shape, cache)
             return ShapeBody(closed_mesh(*lathe_mesh(profile)), mass.revolution(profile), parts, error)
@@ -283,13 +283,13 @@ def _cut(shape: PrismShape | LatheShape, cache: Cache | None) -> _Cut:
         return found
     parts: list[tuple[Array, Faces]]
     if isinstance(shape, PrismShape):
-        from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
+        from simfoundry.assets.solids import checked_outline, convex_outlines, prism_mesh
 
         outline, error = checked_outline(np.array(shape.prism.outline)), 0.0
         parts = [prism_mesh(p, shape.prism.height) for p in convex_outlines(outline)]
     else:
         from simfoundry.assets.convex import hull
-        from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_parts
+        from simfoundry.assets.solids import checked_profile, lathe_error, lathe_parts
 
         outline = checked_profile(np.array(shape.lathe.profile))
         parts = [hull(points) for points in lathe_parts(outline)]

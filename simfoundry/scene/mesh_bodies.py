@@ -28,7 +28,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import closed_mesh
-from simfoundry.scene.bodies import GREY, MeshUse
+from simfoundry.scene.bodies import GRAY, MeshUse
 from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import SpecError
@@ -100,7 +100,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
     """Primitive that represents a mesh, and its pose in the mesh frame."""
     turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
+    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
     X_GP = Pose.from_matrix(turn)
     match primitive.kind:
         case "box":
@@ -108,7 +108,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
         case "cylinder":
             return Cylinder(*primitive.size), X_GP
         case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.centre)
+            return Sphere(*primitive.size), Pose.of(primitive.center)
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
@@ -141,12 +141,12 @@ def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are grey."""
+    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are gray."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         faces = np.array(piece.faces, dtype=np.int32)
         faces.setflags(write=False)
         uv = None if piece.uv is None else frozen(piece.uv)
-        color = piece.rgba or (GREY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
+        color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
         mesh = Mesh(frozen(piece.vertices), faces, uv, piece.texture)
         yield Visual("mesh" if len(pieces) == 1 else f"mesh_{k}", mesh, frozen(color))

@@ -63,7 +63,7 @@ class Collider:
 class Link:
     """A rigid body of an object.
 
-    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
+    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the center of mass in link
     axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is the maximum distance between the surface
     of its colliders and the shapes that they approximate; 0 if they are exact.
     """

@@ -150,7 +150,7 @@ class ObjectLowering:
 
 
 def _topological(spec: AssetSpec) -> Iterator[str]:
-    """Links from the root outwards, siblings in the order of their joints."""
+    """Links from the root outward, siblings in the order of their joints."""
     todo = [next(iter(spec.links))]
     while todo:
         link = todo.pop(0)

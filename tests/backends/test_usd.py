@@ -445,7 +445,7 @@ def test_contact_materials_multiply_to_geometric_means(full: tuple[Scene, Usd.St
 
 
 def pixel_of(prim: Usd.Prim, camera: Camera, point: Pose) -> Array:
-    """Where a point of the world lies in the picture [px], pixel centres at whole numbers, by USD's own frustum."""
+    """Where a point of the world lies in the picture [px], pixel centers at whole numbers, by USD's own frustum."""
     from pxr import Gf, UsdGeom
 
     frustum = UsdGeom.Camera(prim).GetCamera().frustum

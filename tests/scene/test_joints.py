@@ -26,7 +26,7 @@ name: lamp
 materials:
   rubber: {density: 1100, friction: 0.9, torsional_friction: 0.003, rolling_friction: 0.001}
 links:
-  foot: {material: rubber, parts: {disc: {shape: {cylinder: {radius: 0.1, height: 0.02}}}}}
+  foot: {material: rubber, parts: {disk: {shape: {cylinder: {radius: 0.1, height: 0.02}}}}}
   arm: {density: 700, parts: {bar: {shape: {box: [0.02, 0.02, 0.3]}}}}
   shade: {density: 300, parts: {dome: {shape: {sphere: 0.06}}}}
   left: {density: 700, parts: {flap: {shape: {box: [0.02, 0.05, 0.05]}}}}

@@ -41,7 +41,7 @@ class _Surface:
 def find_support(frame: Frame) -> SupportSurface:
     """Find the support of the objects in ``frame``, and the world frame on it.
 
-    The origin is the centroid of the visible surface, z is the plane's normal towards the camera, x is the camera's
+    The origin is the centroid of the visible surface, z is the plane's normal toward the camera, x is the camera's
     viewing direction along the plane (its up direction if it looks straight down), y is to the left.
 
     Of all planes that could be a table top, the support is the one with the most objects and surface in view, weighted

@@ -21,7 +21,7 @@ from simfoundry.geometry.frames import Array
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise
-COLOURED = 0.25  # share of vivid pixels of a region that has a hue
+COLORED = 0.25  # share of vivid pixels of a region that has a hue
 SAME_HUE = 8.0  # of 180 in a full turn
 VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
 ONE_HUE = 4.0  # of 180 in a full turn
@@ -40,7 +40,7 @@ class Hue:
     vivid: float
 
     def equals(self, other: Hue) -> bool:
-        """Return whether both are of one colour throughout."""
+        """Return whether both are of one color throughout."""
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
@@ -49,8 +49,8 @@ class Hue:
         return min(turn, 180 - turn)
 
     def matches(self, other: Hue) -> bool:
-        """Return whether both are coloured, and alike."""
-        return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
+        """Return whether both are colored, and alike."""
+        return min(self.vivid, other.vivid) > COLORED and self.apart(other) <= SAME_HUE
 
 
 def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
@@ -66,7 +66,7 @@ def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
 
 
 def vivid_of(color: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels, shape (h, w), that have a hue: neither grey nor dark."""
+    """Pixels, shape (h, w), that have a hue: neither gray nor dark."""
     hsv = _smooth_hsv(color)
     return np.asarray((hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT))
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import depth_sigma
 from simfoundry.geometry.frames import Array
 
-CUT = 0.012  # [m] a neighbour farther off in depth than this (and the noise) belongs to another surface
+CUT = 0.012  # [m] a neighbor farther off in depth than this (and the noise) belongs to another surface
 Tangents = NDArray[np.float64]
 
 
 def tangents(depth: Array, radius: int, stride: int = 1, labels: NDArray[np.int32] | None = None) -> Tangents:
     """Affine fits of disparity round every pixel: (d, d_u, d_v) in 1/m and 1/m per pixel, shape (h, w, 3).
 
-    NaN where there is no depth. Neighbours across a depth step, or of another label, are left out, so that the fits
+    NaN where there is no depth. Neighbors across a depth step, or of another label, are left out, so that the fits
     do not bend round edges.
     """
     h, w = depth.shape
@@ -50,7 +50,7 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: NDArray[np.int3
 
 
 def _solve(s: Array) -> Array:
-    """Least squares for every pixel from its moment sums, slightly damped towards fronto-parallel."""
+    """Least squares for every pixel from its moment sums, slightly damped toward fronto-parallel."""
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -61,7 +61,7 @@ def _solve(s: Array) -> Array:
 
 
 def normals_of(fits: Tangents, K: Array) -> Array:
-    """Unit normals towards the camera, shape (h, w, 3), of tangent planes."""
+    """Unit normals toward the camera, shape (h, w, 3), of tangent planes."""
     h, w = fits.shape[:2]
     u, v = np.meshgrid(np.arange(w) - K[0, 2], np.arange(h) - K[1, 2])
     d, d_u, d_v = np.moveaxis(fits, -1, 0)
@@ -111,9 +111,9 @@ def bend_and_jump(a: Tangents, b: Tangents, offset: Array) -> tuple[Array, Array
     """
     along_a = offset[0] * a[..., 1] + offset[1] * a[..., 2]
     along_b = offset[0] * b[..., 1] + offset[1] * b[..., 2]
-    to_metres = 1.0 / (a[..., 0] * b[..., 0])
-    b_before_a = (b[..., 0] - a[..., 0] - along_a) * to_metres
-    a_before_b = (a[..., 0] - b[..., 0] + along_b) * to_metres
+    to_meters = 1.0 / (a[..., 0] * b[..., 0])
+    b_before_a = (b[..., 0] - a[..., 0] - along_a) * to_meters
+    a_before_b = (a[..., 0] - b[..., 0] + along_b) * to_meters
     size = np.minimum(np.abs(b_before_a), np.abs(a_before_b))
     same = b_before_a * a_before_b > 0
     sign = np.sign(b_before_a)
@@ -121,7 +121,7 @@ def bend_and_jump(a: Tangents, b: Tangents, offset: Array) -> tuple[Array, Array
 
 
 def _overlap(h: int, w: int, du: int, dv: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Overlap of a picture with itself moved by (du, dv): slices of the pixel and of its neighbour."""
+    """Overlap of a picture with itself moved by (du, dv): slices of the pixel and of its neighbor."""
     rows = slice(max(0, -dv), h - max(0, dv)), slice(max(0, dv), h - max(0, -dv))
     columns = slice(max(0, -du), w - max(0, du)), slice(max(0, du), w - max(0, -du))
     return (rows[0], columns[0]), (rows[1], columns[1])
@@ -176,7 +176,7 @@ def relief_of(depth: Array, K: Array, scale: float) -> Relief:
 
 
 def _breaks(depth: Array) -> Array:
-    """Jump of the depth [m] to a direct neighbour beyond any slope; it needs no surface on either side."""
+    """Jump of the depth [m] to a direct neighbor beyond any slope; it needs no surface on either side."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):

@@ -17,7 +17,7 @@ Labels = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
-    """One labelled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
+    """One labeled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
 
     label: int
     bottom: float

@@ -19,7 +19,7 @@ _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside 
 class Evidence:
     """Points of one object and rays through and around it.
 
-    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera centre in the world, shape (3,);
+    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera center in the world, shape (3,);
     ``rays`` world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
     [m] observed along the rays, NaN where there is none, shape (m,); ``inside`` marks the object's own rays and
     ``hidden`` those that belong to other objects, both bool, shape (m,); ``scale`` [m] is the distance at which a
@@ -118,15 +118,15 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of eight neighbours are at their depth."""
+    """Pixels that hang between a near and a far surface: fewer than three of eight neighbors are at their depth."""
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
     for dv in (0, 1, 2):
         for du in (0, 1, 2):
             if (dv, du) != (1, 1):
-                neighbour = padded[dv : dv + h, du : du + w]
-                agreeing += np.abs(neighbour - depth) < 0.012 * depth
+                neighbor = padded[dv : dv + h, du : du + w]
+                agreeing += np.abs(neighbor - depth) < 0.012 * depth
     return np.asarray(np.isfinite(depth) & (agreeing < 3))
 
 
@@ -156,7 +156,7 @@ class SolidHits:
 
 
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
-    """Rays against a box of full extents ``size`` [m] centred on ``X_WO``."""
+    """Rays against a box of full extents ``size`` [m] centered on ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
@@ -168,9 +168,9 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
-def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> SolidHits:
+def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
     """Rays against a sphere."""
-    to_eye = eye - centre
+    to_eye = eye - center
     a = np.einsum("ij,ij->i", rays, rays)
     b = rays @ to_eye
     root = b * b - a * (to_eye @ to_eye - radius**2)
@@ -268,7 +268,7 @@ class RayAgreement:
 
     ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
     rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
-    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimise.
+    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimize.
     """
 
     explained: float

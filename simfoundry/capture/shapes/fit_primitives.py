@@ -12,7 +12,7 @@ from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
-SMALLEST = 0.004  # [m] least radius or extent: below the depth noise at half a metre
+SMALLEST = 0.004  # [m] least radius or extent: below the depth noise at half a meter
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ def start_axis(evidence: Evidence) -> tuple[Array, float]:
 
 
 def cylinder_profile(radius: float, height: float) -> Array:
-    """The closed profile of a cylinder centred on its frame, shape (4, 2)."""
+    """The closed profile of a cylinder centered on its frame, shape (4, 2)."""
     return np.array([[0.0, height / 2], [radius, height / 2], [radius, -height / 2], [0.0, -height / 2]])
 
 
@@ -137,8 +137,8 @@ def fit_sphere(evidence: Evidence) -> RoundFit:
     start = min(starts, key=lambda x: judge(x).cost)
     steps = np.array([0.25 * radius, 0.25 * radius, 0.12 * radius])
     _, best = search(lambda x: judge(x).cost, start, steps, 150)
-    r, centre = solid(best)
-    return RoundFit(Sphere(r), Pose.of(centre), judge(best))
+    r, center = solid(best)
+    return RoundFit(Sphere(r), Pose.of(center), judge(best))
 
 
 DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
@@ -173,9 +173,9 @@ def _start(evidence: Evidence, yaw: float) -> tuple[float, Array]:
     c, s = math.cos(yaw), math.sin(yaw)
     local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
     low, high = np.percentile(local, [1.0, 99.0], axis=0)
-    centre = np.array([[c, -s], [s, c]]) @ ((low + high) / 2)
+    center = np.array([[c, -s], [s, c]]) @ ((low + high) / 2)
     extents = np.maximum(high - low, SMALLEST)
-    x = np.array([*centre, yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST)])
+    x = np.array([*center, yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST)])
     return _cost(evidence, x), x
 
 
