@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.poses import pose_spec
+from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,
@@ -68,7 +68,7 @@ TABLE = {
 }
 SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
 
-# Upper limits of hue [deg] of the English colour words, read off the HSV circle.
+# Upper limits of hue [deg] of the English color words, read off the HSV circle.
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
 
 
@@ -85,7 +85,7 @@ def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
 
 
 def color_word(rgb: tuple[float, float, float]) -> str:
-    """Return a plain English word for an sRGB colour in [0, 1]."""
+    """Return a plain English word for an sRGB color in [0, 1]."""
     hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
     if value < 0.2:
         return "black"
@@ -117,7 +117,7 @@ SUPPORT_NAME = "table"  # the name of the support in the scene
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
     """Return the support as a fixed prism whose top is at z = 0."""
-    outline = tuple((metres(x), metres(y)) for x, y in support.outline)
+    outline = tuple((meters(x), meters(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
     return ObjectSpec(
         category="table",
@@ -126,7 +126,7 @@ def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> Obje
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
         pose=PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
-        origin=Origin(capture=capture, fit_error=metres(support.residual), note=note),
+        origin=Origin(capture=capture, fit_error=meters(support.residual), note=note),
     )
 
 
@@ -148,7 +148,7 @@ def object_spec(
         color=_rgb(color) if mesh.texture is None else None,
         mass=Estimate(value=kilograms[0], range=(low, high), source="material_table"),
         pose=pose_spec(shape.X_WO),
-        origin=Origin(capture=capture, fit_error=metres(shape.fit_m), confidence=round(shape.confidence, 2)),
+        origin=Origin(capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2)),
     )
 
 
@@ -156,15 +156,15 @@ def _shape_spec(shape: FittedShape) -> Shape | None:
     """Return the shape as a spec writes it, or None if only a mesh can represent it."""
     geometry = shape.geometry
     if shape.profile is not None:
-        return LatheShape(lathe=Lathe(profile=tuple((metres(r), metres(z)) for r, z in shape.profile)))
+        return LatheShape(lathe=Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
     match geometry:
         case Box():
-            x, y, z = (metres(v) for v in geometry.size)
+            x, y, z = (meters(v) for v in geometry.size)
             return BoxShape(box=(x, y, z))
         case Cylinder():
-            return CylinderShape(cylinder=Round(radius=metres(geometry.radius), height=metres(geometry.height)))
+            return CylinderShape(cylinder=Round(radius=meters(geometry.radius), height=meters(geometry.height)))
         case Sphere():
-            return SphereShape(sphere=metres(geometry.radius))
+            return SphereShape(sphere=meters(geometry.radius))
     return None
 
 
@@ -172,7 +172,7 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
     """Return the camera that took the picture."""
     height, width = frame.depth.shape
     X_WC: Pose = support.X_WC
-    x, y, z = (metres(v) for v in X_WC.p)
+    x, y, z = (meters(v) for v in X_WC.p)
     qw, qx, qy, qz = (round(float(v), 6) for v in X_WC.q)
     return CameraSpec(
         size=(width, height),
@@ -190,14 +190,14 @@ def material_spec(substance: MaterialPrior) -> Material:
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimetre."""
+    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimeter."""
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 
-def metres(value: float) -> float:
-    """Round a length to a tenth of a millimetre, finer than any supported sensor."""
+def meters(value: float) -> float:
+    """Round a length to a tenth of a millimeter, finer than any supported sensor."""
     return round(float(value), 4)
 
 

@@ -12,14 +12,14 @@ from simfoundry.geometry.frames import Array, Pose
 NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
 MIN_PIXELS = 200  # pixels with depth: fewer show no plane
 
-# Units of depth by their scale to metres, the most common first, for a hint where depth is implausible.
+# Units of depth by their scale to meters, the most common first, for a hint where depth is implausible.
 UNITS = {
-    0.001: "millimetres",
-    0.0001: "tenths of a millimetre",
-    1.0: "metres",
-    0.01: "centimetres",
-    1e-6: "micrometres",
-    1000.0: "kilometres",
+    0.001: "millimeters",
+    0.0001: "tenths of a millimeter",
+    1.0: "meters",
+    0.01: "centimeters",
+    1e-6: "micrometers",
+    1000.0: "kilometers",
 }
 
 
@@ -35,7 +35,7 @@ class CaptureError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A colour picture with depth registered to it.
+    """A color picture with depth registered to it.
 
     ``color`` uint8 RGB, shape (h, w, 3); ``depth`` [m] along the optical axis, float64, shape (h, w), NaN where there
     is none; ``K`` the intrinsics [px], shape (3, 3); ``instances`` int32, shape (h, w), 0 where there is no object and
@@ -60,7 +60,7 @@ class Frame:
         """Return the frame without depth outside the range of sensors; :class:`CaptureError` if too little remains."""
         finite = np.isfinite(self.depth) & (self.depth > 0)
         if not finite.any():
-            hint = "check that the depth file belongs to the colour picture, and which values are declared invalid"
+            hint = "check that the depth file belongs to the color picture, and which values are declared invalid"
             raise CaptureError("SF502", "the depth picture has no valid pixel", hint)
         valid = finite & (self.depth >= NEAREST) & (self.depth <= FARTHEST)
         if not valid.any():

@@ -18,7 +18,7 @@ from simfoundry.capture.describe import (
     kind_of,
     material_spec,
     mesh_files,
-    metres,
+    meters,
     object_spec,
     support_spec,
     unique_names,
@@ -101,7 +101,7 @@ def reconstruct(
             "sky": LightSpec(type="dome", intensity=0.7),
         },
         relations=relations,
-        origin=Origin(capture=name, fit_error=metres(support.residual)),
+        origin=Origin(capture=name, fit_error=meters(support.residual)),
     )
     return Reconstruction(
         spec,
@@ -156,7 +156,7 @@ def _names(
     colors: dict[int, tuple[float, float, float]],
     given: dict[str, int],
 ) -> dict[int, str]:
-    """Name every object: by the capture if it has a name, else by its colour and shape."""
+    """Name every object: by the capture if it has a name, else by its color and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
@@ -230,7 +230,7 @@ def _carrier(
     """Return the fitted object that ``k`` stands on, 0 for the support.
 
     The support graph is believed only if the supporting solid lies below a good part of the visible points of ``k``:
-    a foot that is merely hidden by a neighbour does not stand on it.
+    a foot that is merely hidden by a neighbor does not stand on it.
     """
     import shapely
 

@@ -44,7 +44,7 @@ class SensorModel:
     baseline: float = 0.075
     """Distance between projector and camera, or between the two cameras [m]."""
     edge_jump: float = 0.03
-    """A change of depth between neighbours that is an edge: relative, beyond what the slope of the surface explains."""
+    """A change of depth between neighbors that is an edge: relative, beyond what the slope of the surface explains."""
     edge_band: int = 2
     """How far from an edge the farther surface stays without depth [px]."""
     grazing_deg: float = 78.0
@@ -93,14 +93,14 @@ def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
 
 
 def simulate_color(ray: Raycast, rng: np.random.Generator, read: float = 1.2, shot: float = 0.12) -> NDArray[np.uint8]:
-    """The colour picture with sensor noise of variance ``read^2 + shot^2 * value`` in 8-bit counts, shape (h, w, 3)."""
+    """The color picture with sensor noise of variance ``read^2 + shot^2 * value`` in 8-bit counts, shape (h, w, 3)."""
     value = ray.color.astype(np.float64)
     noisy = value + np.sqrt(read**2 + shot**2 * value) * rng.standard_normal(value.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Frame:
-    """Colour, depth, intrinsics and instance masks of ``ray`` as a real camera would deliver them."""
+    """Color, depth, intrinsics and instance masks of ``ray`` as a real camera would deliver them."""
     c = ray.camera
     K = np.array([[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]])
     return Frame(color=simulate_color(ray, rng), depth=simulate_depth(ray, rng, model), K=K, instances=ray.objects)
@@ -181,7 +181,7 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
 
 
 def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    """The mask with its neighbours up to ``steps`` pixels away (city blocks), on a path that stays ``within``."""
+    """The mask with its neighbors up to ``steps`` pixels away (city blocks), on a path that stays ``within``."""
     for _ in range(max(0, steps)):
         wide = mask.copy()
         wide[1:] |= mask[:-1]
@@ -207,7 +207,7 @@ CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
 def synthesize(
     scene: Scene, camera: Camera, folder: Path, seed: int, masks: bool = False, truth: Path | None = None
 ) -> Path:
-    """Write colour, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
+    """Write color, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
 
     The same scene and seed give the same bytes. ``truth`` names the scene document in the capture where it lies in
     the same folder.

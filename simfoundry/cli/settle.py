@@ -23,7 +23,7 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
     came to rest.
     """
     from simfoundry.runtime.files import ensure_replaceable, write_atomically
-    from simfoundry.scene.poses import with_state
+    from simfoundry.scene.state import with_state
     from simfoundry.spec.yaml.write import to_yaml
     from simfoundry.worlds import open_world
     from simfoundry.worlds.settle import settle

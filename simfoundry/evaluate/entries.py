@@ -141,7 +141,7 @@ def _value(text: str) -> str | int | float:
     return float(text) if re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text) else text
 
 
-_LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
+_LABELED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
@@ -194,7 +194,7 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
     """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; labels must be unique."""
     found: list[Contender] = []
     for text in texts:
-        match = _LABELLED.fullmatch(text)
+        match = _LABELED.fullmatch(text)
         label, policy = match.groups() if match else (_label(text), text)
         if any(label == other.label for other in found):
             raise SimfoundryError(f"two policies have the label `{label}`; give one another label: `NAME={policy}`")

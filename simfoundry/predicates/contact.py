@@ -38,7 +38,7 @@ TOUCHING = Predicate(
 
 
 STEEP_SCALE = 0.01
-"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimetres."""
+"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimeters."""
 
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:
@@ -66,7 +66,7 @@ ON_TOP = Predicate(
     ("thing", "thing"),
     on_top,
     f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {SUPPORT_DEG:g} deg of "
-    f"straight up, with {FRICTION_SHARE:g} of the friction angle credited; the centre of mass of `a` is over the "
+    f"straight up, with {FRICTION_SHARE:g} of the friction angle credited; the center of mass of `a` is over the "
     f"outline of `b`, or `a` also touches another object; if `b` is farther away than {CLOSE * 1000:g} mm, no object "
     f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it. An object "
     "in a bowl rests on the bowl, one on a hook rests on the hook, and one that leans on an edge rests on the edge",

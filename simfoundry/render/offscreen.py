@@ -187,10 +187,10 @@ def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera
     if has_sky or scene.ngeom == scene.maxgeom:
         return
     R_WC = camera.X_WC.rotation
-    centre, R_WG = camera.X_WC.p + 0.9 * FAR * R_WC[:, 2], R_WC * np.array([1.0, -1.0, -1.0])
+    center, R_WG = camera.X_WC.p + 0.9 * FAR * R_WC[:, 2], R_WC * np.array([1.0, -1.0, -1.0])
     color = np.append(encode_srgb(HORIZON) / 255 / BACKDROP_EMISSION, 1.0).astype(np.float32)
     plane = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(plane, mujoco.mjtGeom.mjGEOM_PLANE, np.full(3, 100 * FAR), centre, R_WG.ravel(), color)
+    mujoco.mjv_initGeom(plane, mujoco.mjtGeom.mjGEOM_PLANE, np.full(3, 100 * FAR), center, R_WG.ravel(), color)
     plane.emission, plane.specular, plane.reflectance = BACKDROP_EMISSION, 0.0, 0.0
     plane.category = mujoco.mjtCatBit.mjCAT_DECOR
     scene.ngeom += 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.render.raycast import raycast
 from simfoundry.render.surface import scene_surface
-from simfoundry.scene.bodies import GREY
+from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480
@@ -82,14 +82,14 @@ def tints_of(names: Iterable[str]) -> dict[str, Tint]:
 
 
 def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
-    """Return an object with its default-grey parts tinted; fixed objects stay grey, as a background."""
+    """Return an object with its default-gray parts tinted; fixed objects stay gray, as a background."""
     if tint is None or item.fixed:
         return item
     rgba = frozen_array((*tint, 1.0))
     links = [
         replace(
             link,
-            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GREY else v for v in link.visuals),
+            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GRAY else v for v in link.visuals),
         )
         for link in item.links
     ]
@@ -114,7 +114,7 @@ def _shrunk(camera: Camera) -> Camera:
         height=height,
         fx=camera.fx * x,
         fy=camera.fy * y,
-        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are integers
+        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centers are integers
         cy=(camera.cy + 0.5) * y - 0.5,
     )
 
@@ -125,11 +125,11 @@ def _overview(scenes: list[Scene]) -> Camera:
     points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
     cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
-    centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
+    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
     away = np.array(FROM) / np.linalg.norm(FROM)
-    eye = centre + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
+    eye = center + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
     focal = HEIGHT / 2 / np.tan(np.radians(VIEW_DEG / 2))
-    X_WC = look_at(eye, centre)
+    X_WC = look_at(eye, center)
     return Camera("overview", WIDTH, HEIGHT, float(focal), float(focal), (WIDTH - 1) / 2, (HEIGHT - 1) / 2, X_WC)
 
 

@@ -93,8 +93,8 @@ def _extras() -> Iterator[Part]:
 
 def _robots() -> Iterator[Part]:
     """Yield the known robots, with the command that installs their models if they are missing."""
-    from simfoundry.scene.robot_packages import NoModelError
-    from simfoundry.scene.robots import lower_robot
+    from simfoundry.scene.robot import lower_robot
+    from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec
     from simfoundry.spec.models.robot_file import find_robot, robot_names
 

@@ -46,7 +46,7 @@ def world_mesh(shape: FittedShape) -> trimesh.Trimesh:
 
 
 def assert_stands(shape: FittedShape, base_z: float) -> None:
-    """Closed, facing outward, on its base, and with the centre of mass well inside the foot."""
+    """Closed, facing outward, on its base, and with the center of mass well inside the foot."""
     mesh = world_mesh(shape)
     assert mesh.is_watertight and mesh.is_winding_consistent
     assert mesh.volume > 0 and len(mesh.faces) <= 2000

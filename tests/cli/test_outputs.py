@@ -50,7 +50,7 @@ WRITERS = {
     "merge": ("desk.scene.yaml", "desk.scene.yaml", "other.scene.yaml", "-o"),
     "flatten": ("desk.scene.yaml", "-o"),
     "correlate": ("real.csv", "sim.csv", "--svg"),
-    "verify": ("desk.scene.yaml", "--no-behaviours", "--engine", "usdview", "--html"),
+    "verify": ("desk.scene.yaml", "--no-behaviors", "--engine", "usdview", "--html"),
 }
 """Commands that write a file, with their arguments up to its path."""
 

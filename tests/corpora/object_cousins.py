@@ -122,7 +122,7 @@ def table(tasks: list[str], count: int, seed: int, out: Path, gallery: Path | No
     if gallery is not None:
         from tests.corpora.object_gallery import draw
 
-        rows = {item.spec.name: (case.name, item, found) for case, item, found in shown}  # a cup of each colour once
+        rows = {item.spec.name: (case.name, item, found) for case, item, found in shown}  # a cup of each color once
         draw(gallery, list(rows.values()))
     print("every object has enough" if not short else f"{short} objects fall short")
     return int(short > 0)

@@ -32,7 +32,7 @@ def test_a_line_through_a_cup_meets_two_walls(scene: Scene) -> None:
     assert len(spans) == 2
     left, right = spans
     assert left.width == pytest.approx(0.0032, abs=3e-4) and right.width == pytest.approx(0.0032, abs=3e-4)
-    outer = 0.03 + 0.08 / 0.095 * 0.01  # the wall of the asset leans outwards by 1 cm
+    outer = 0.03 + 0.08 / 0.095 * 0.01  # the wall of the asset leans outward by 1 cm
     assert right.end == pytest.approx(outer, rel=0.03) and left.start == pytest.approx(-outer, rel=0.03)
     assert right.facing > 0.95
 

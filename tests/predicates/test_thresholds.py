@@ -1,4 +1,4 @@
-"""Every threshold of docs/predicates.md, crossed from both sides by a tenth of a millimetre, a degree or a per cent."""
+"""Every threshold of docs/predicates.md, crossed from both sides by a tenth of a millimeter, a degree or a per cent."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def crosses(value: Callable[[float], bool], threshold: float, step: float, below
     assert value(threshold + step) is (not below)
 
 
-def test_touching_ends_one_millimetre_apart(boxes: Setting) -> None:
+def test_touching_ends_one_millimeter_apart(boxes: Setting) -> None:
     crosses(lambda gap: boxes.margin("Touching(a, b)", a=posed(BESIDE + gap, 0, 0.03)) > 0, at.TOUCH, STEP, True)
 
 
@@ -122,7 +122,7 @@ def test_above_and_under_begin_where_the_plumb_line_meets_the_other(boxes: Setti
     crosses(lambda y: boxes.margin("Under(a, b)", a=posed(0, y, -0.3)) > 0, 0.04, STEP, True)
 
 
-def test_at_ends_two_centimetres_away(boxes: Setting) -> None:
+def test_at_ends_two_centimeters_away(boxes: Setting) -> None:
     crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT_DISTANCE, STEP, True)
     crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT_DISTANCE, STEP, True)
 
@@ -132,7 +132,7 @@ def test_upright_ends_at_ten_degrees(boxes: Setting) -> None:
     crosses(leaning, UPRIGHT_DEG, 0.01, True)
 
 
-def test_lifted_begins_two_centimetres_higher(boxes: Setting) -> None:
+def test_lifted_begins_two_centimeters_higher(boxes: Setting) -> None:
     crosses(lambda rise: boxes.margin("Lifted(a)", a=posed(0.3, 0.1, 0.01 + rise)) > 0, RISE, STEP, False)
 
 

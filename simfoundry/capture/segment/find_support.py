@@ -66,7 +66,7 @@ class _Surface:
 def find_support(frame: Frame) -> SupportSurface:
     """Find the support of the objects in ``frame``, and the world frame on it.
 
-    The origin is the centroid of the visible surface, z is the plane's normal towards the camera, x is the camera's
+    The origin is the centroid of the visible surface, z is the plane's normal toward the camera, x is the camera's
     viewing direction along the plane (its up direction if it looks straight down), y is to the left.
 
     Of all planes that could be a table top, the support is the one with the most objects and surface in view, weighted
@@ -313,7 +313,7 @@ def polygon_of(plan: Plan) -> Array:
     import cv2
     from shapely.geometry import Polygon
 
-    # Doubled and padded, the contour runs along the cells' borders instead of through their centres.
+    # Doubled and padded, the contour runs along the cells' borders instead of through their centers.
     fine = np.pad(np.kron(plan.mask, np.ones((2, 2), bool)), 1).astype(np.uint8)
     contours, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contour = max(contours, key=cv2.contourArea)[:, 0, :].astype(np.float64)

@@ -107,7 +107,7 @@ def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
 class Plan:
     """A map of the support seen from above: ``mask`` bool, shape (rows, columns), row along world y, column along x.
 
-    Cell (r, c) is centred at ``corner + cell * (c, r)`` in world xy [m].
+    Cell (r, c) is centered at ``corner + cell * (c, r)`` in world xy [m].
     """
 
     mask: Mask

@@ -14,7 +14,7 @@ from simfoundry.capture.segment.support_graph import RegionPart, below, carriers
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise
-COLOURED = 0.25  # share of vivid pixels of a region that has a hue
+COLORED = 0.25  # share of vivid pixels of a region that has a hue
 SAME_HUE = 8.0  # of 180 in a full turn
 VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
 ONE_HUE = 4.0  # of 180 in a full turn
@@ -30,7 +30,7 @@ FOOT = 0.02  # [m] above the support, below which both objects reach
 
 
 def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
-    """Smoothed hue, of 180 in a full turn, and the pixels that have one: neither grey nor dark; ``color`` is RGB."""
+    """Smoothed hue, of 180 in a full turn, and the pixels that have one: neither gray nor dark; ``color`` is RGB."""
     import cv2
 
     smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
@@ -46,7 +46,7 @@ class Hue:
     vivid: float
 
     def equals(self, other: Hue) -> bool:
-        """Return whether both are of one colour throughout."""
+        """Return whether both are of one color throughout."""
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
@@ -55,8 +55,8 @@ class Hue:
         return min(turn, 180 - turn)
 
     def matches(self, other: Hue) -> bool:
-        """Return whether both are coloured, and alike."""
-        return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
+        """Return whether both are colored, and alike."""
+        return min(self.vivid, other.vivid) > COLORED and self.apart(other) <= SAME_HUE
 
     @classmethod
     def of(cls, mask: Mask, hue: NDArray[np.uint8], vivid: Mask) -> Hue:

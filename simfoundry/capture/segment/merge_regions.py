@@ -16,10 +16,10 @@ from simfoundry.geometry.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch
-SMALL_PART = 0.2  # of its neighbour's pixels
+SMALL_PART = 0.2  # of its neighbor's pixels
 SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
 FEW_PAIRS = 60  # a shorter border says nothing
-HANDLE = 0.35  # of its neighbour's area: a handle is far smaller than its mug
+HANDLE = 0.35  # of its neighbor's area: a handle is far smaller than its mug
 IN_PLANE = 0.006  # [m]
 SAME_TOP = 0.012  # [m]
 SLIVER = 0.1  # of the other's points
@@ -157,7 +157,7 @@ def _one_rim(front: Array, back: Array) -> bool:
     system = np.column_stack([2 * xy, np.ones(len(xy))])
     solution = np.linalg.lstsq(system, (xy**2).sum(axis=1), rcond=None)[0]
     center, radius = solution[:2], float(np.sqrt(max(1e-9, solution[2] + solution[:2] @ solution[:2])))
-    # A lid or a box top would fill the disc; a rim, front and back, keeps to the circle.
+    # A lid or a box top would fill the disk; a rim, front and back, keeps to the circle.
     round_enough = all(
         np.quantile(np.abs(np.linalg.norm(rim - center, axis=1) - radius), 0.8) < 0.003 + 0.07 * radius for rim in rims
     )
@@ -193,7 +193,7 @@ def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Lab
 
 
 def _main_plane(points: Array, level: bool) -> Plane | None:
-    """Centre and normal of the plane through most of ``points``, among the level or among the upright ones."""
+    """Center and normal of the plane through most of ``points``, among the level or among the upright ones."""
     rng = np.random.default_rng(0)
     triples = points[rng.integers(len(points), size=(400, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])

@@ -16,7 +16,7 @@ from simfoundry.capture.frame import Frame, depth_sigma
 from simfoundry.capture.segment.masks import Labels, Mask, components, disk
 from simfoundry.geometry.frames import Array
 
-CUT = 0.012  # [m] a neighbour farther off in depth than this (and the noise) belongs to another surface
+CUT = 0.012  # [m] a neighbor farther off in depth than this (and the noise) belongs to another surface
 SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
 FLAT = 0.5  # edge strength, in units of `Crop.edge`, below which a pixel may seed a region
 BROKEN = 5.0  # step, likewise, across which nothing hangs together
@@ -171,7 +171,7 @@ def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
 def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None = None) -> Array:
     """Affine fits of disparity round every pixel: (d, d_u, d_v) in 1/m and 1/m per pixel, shape (h, w, 3).
 
-    NaN where there is no depth. Neighbours across a depth step, or of another label, are left out, so that the fits
+    NaN where there is no depth. Neighbors across a depth step, or of another label, are left out, so that the fits
     do not bend round edges.
     """
     h, w = depth.shape
@@ -205,7 +205,7 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
 
 
 def _solve(s: Array) -> Array:
-    """Least squares for every pixel from its moment sums, slightly damped towards fronto-parallel."""
+    """Least squares for every pixel from its moment sums, slightly damped toward fronto-parallel."""
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -216,7 +216,7 @@ def _solve(s: Array) -> Array:
 
 
 def normals_of(fits: Array, K: Array) -> Array:
-    """Unit normals towards the camera, shape (h, w, 3), of tangent planes."""
+    """Unit normals toward the camera, shape (h, w, 3), of tangent planes."""
     h, w = fits.shape[:2]
     u, v = np.meshgrid(np.arange(w) - K[0, 2], np.arange(h) - K[1, 2])
     d, d_u, d_v = np.moveaxis(fits, -1, 0)
@@ -246,9 +246,9 @@ def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, 
     """
     along_a = offset[0] * a[..., 1] + offset[1] * a[..., 2]
     along_b = offset[0] * b[..., 1] + offset[1] * b[..., 2]
-    to_metres = 1.0 / (a[..., 0] * b[..., 0])
-    b_before_a = (b[..., 0] - a[..., 0] - along_a) * to_metres
-    a_before_b = (a[..., 0] - b[..., 0] + along_b) * to_metres
+    to_meters = 1.0 / (a[..., 0] * b[..., 0])
+    b_before_a = (b[..., 0] - a[..., 0] - along_a) * to_meters
+    a_before_b = (a[..., 0] - b[..., 0] + along_b) * to_meters
     size = np.minimum(np.abs(b_before_a), np.abs(a_before_b))
     same = b_before_a * a_before_b > 0
     sign = np.sign(b_before_a)
@@ -256,7 +256,7 @@ def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, 
 
 
 def _breaks(depth: Array) -> Array:
-    """Jump of the depth [m] to a direct neighbour beyond any slope; it needs no surface on either side."""
+    """Jump of the depth [m] to a direct neighbor beyond any slope; it needs no surface on either side."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):

@@ -31,7 +31,7 @@ SURROUNDED = 14  # of 16 directions in which there is a wall
 
 
 def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int) -> Labels:
-    """Give each object the unlabelled pixels that are its own: those without depth in gaps up to ``radius`` [px] wide
+    """Give each object the unlabeled pixels that are its own: those without depth in gaps up to ``radius`` [px] wide
     to either side, and those it encloses, except where one sees the support through it.
     """
     out = _without_gaps(labels, ~np.isfinite(depth), radius)

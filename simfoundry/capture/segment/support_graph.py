@@ -18,7 +18,7 @@ OVERLAP = 0.05  # least share of the smaller visible footprint that an object sh
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
-    """One labelled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
+    """One labeled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
 
     label: int
     bottom: float
@@ -114,7 +114,7 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
-    """The labelled pixels, those right below them by gravity, and the labels there, -1 outside the crop."""
+    """The labeled pixels, those right below them by gravity, and the labels there, -1 outside the crop."""
     h, w = labels.shape
     du, dv = (round(x * (crop.reach + 2)) for x in crop.down)
     rows, columns = np.nonzero(labels > 0)

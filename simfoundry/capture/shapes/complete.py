@@ -2,7 +2,7 @@
 
 The solid is a stack of horizontal slices. In each slice the near side is what was seen, the far side its mirror image
 across a vertical plane along the object, never beyond where the camera saw through, and never short of what was seen
-further up. Each slice is a star-shaped polygon about its own centre, so the stack is closed and free of
+further up. Each slice is a star-shaped polygon about its own center, so the stack is closed and free of
 self-intersection by construction.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
-from simfoundry.assets.lathe import ring_faces
+from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, agreement, binned, cast_mesh, smooth_gaps
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
@@ -24,8 +24,8 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.tessellate import closed_mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
-FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
-_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a metre
+FOOT_MARGIN = 0.15  # of the foot's radius, that the center of mass must keep from the edge of the foot
+_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a meter
 _STEPS = 48  # samples of free space behind a column: 2 to 5 mm apart
 _MIN_IN_SLICE = 12  # points that a slice needs for two percentiles to mean anything
 _PAD = 0.0025  # height of the pad under a solid that would tip over [m]
@@ -78,7 +78,7 @@ def complete(evidence: Evidence) -> FitCandidate:
     """Complete the points in ``evidence`` to a solid that stands on ``base_z``."""
     axes = _Axes.of(evidence)
     rings = _carve(axes, _smooth(np.array([_ring(axes, one) for one in _slices(axes)])))
-    rings = _stabilise(_stand(rings, evidence.base_z))
+    rings = _stabilize(_stand(rings, evidence.base_z))
     origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
     mesh = loft_mesh(rings - origin)
     hits = cast_mesh(evidence.eye, evidence.rays, np.asarray(mesh.vertices) + origin, np.asarray(mesh.faces))
@@ -174,17 +174,17 @@ def _extend(axes: _Axes, own: _Slice, above: _Slice) -> _Slice:
 
 
 def _ring(axes: _Axes, one: _Slice) -> Array:
-    """Star-shaped outline about the slice's centre, world [m], shape (SIDES, 3), counter-clockwise."""
+    """Star-shaped outline about the slice's center, world [m], shape (SIDES, 3), counter-clockwise."""
     angle = np.arange(SIDES) * (2 * math.pi / SIDES)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
     t, near, far = one.t, one.near, one.far
     ct = float((t * (far - near)).sum() / (far - near).sum())
-    centre = np.array([ct, float(np.interp(ct, t, (near + far) / 2))])
+    center = np.array([ct, float(np.interp(ct, t, (near + far) / 2))])
     rho = np.linspace(0.0, 1.05 * math.hypot(t[-1] - t[0], far.max() - near.min()) + _THINNEST, 4 * _STEPS)
-    tt, ss = centre[0] + ray[:, :1] * rho, centre[1] + ray[:, 1:] * rho
+    tt, ss = center[0] + ray[:, :1] * rho, center[1] + ray[:, 1:] * rho
     inside = (tt >= t[0]) & (tt <= t[-1]) & (ss >= np.interp(tt, t, near)) & (ss <= np.interp(tt, t, far))
     first_out = np.where(inside.all(axis=1), len(rho), np.argmin(inside, axis=1))
-    local = centre + ray * np.maximum(rho[np.maximum(first_out - 1, 0)], _THINNEST / 2)[:, None]
+    local = center + ray * np.maximum(rho[np.maximum(first_out - 1, 0)], _THINNEST / 2)[:, None]
     xy = local[:, :1] * axes.across + local[:, 1:] * axes.along
     # Along is a quarter turn clockwise from across, so that the angle runs clockwise in the world.
     return np.column_stack([xy, np.full(SIDES, one.level)])[::-1]
@@ -200,15 +200,15 @@ def _smooth(rings: Array) -> Array:
 
 
 def _carve(axes: _Axes, rings: Array) -> Array:
-    """Pull every point in observed free space towards its slice's centre until it leaves that space."""
-    centre = rings[..., :2].mean(axis=1, keepdims=True)
+    """Pull every point in observed free space toward its slice's center until it leaves that space."""
+    center = rings[..., :2].mean(axis=1, keepdims=True)
     out = rings.copy()
     share = np.ones(rings.shape[:2])
     for _ in range(8):
         for k, ring in enumerate(out):
             free = axes.is_free(ring[:, :2] @ axes.across, ring[:, :2] @ axes.along, float(ring[0, 2]))
             share[k] -= np.where(free & (share[k] > 0.3), 0.1, 0.0)
-        out[..., :2] = centre + share[..., None] * (rings[..., :2] - centre)
+        out[..., :2] = center + share[..., None] * (rings[..., :2] - center)
     return out
 
 
@@ -221,8 +221,8 @@ def _stand(rings: Array, base_z: float) -> Array:
     return np.concatenate([foot, rings, top])
 
 
-def _stabilise(rings: Array) -> Array:
-    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disc under its centre of mass."""
+def _stabilize(rings: Array) -> Array:
+    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disk under its center of mass."""
     import shapely
 
     foot = rings[0, :, :2]
@@ -230,11 +230,11 @@ def _stabilise(rings: Array) -> Array:
     out = rings
     for attempt in range(6):
         mesh = loft_mesh(out)
-        centre = mass.mesh(mesh.vertices, mesh.faces).com[:2]
-        if hull_margin(out[0, :, :2], centre) >= wanted:
+        center = mass.mesh(mesh.vertices, mesh.faces).com[:2]
+        if hull_margin(out[0, :, :2], center) >= wanted:
             break
         pad = rings[0].copy()
-        pad[:, :2] = _hull_with_disc(foot, centre, (1.5 + 0.5 * attempt) * wanted)
+        pad[:, :2] = _hull_with_disk(foot, center, (1.5 + 0.5 * attempt) * wanted)
         lid, sole = pad.copy(), rings[0].copy()
         lid[:, 2] += _PAD
         sole[:, 2] += 1.2 * _PAD
@@ -242,18 +242,18 @@ def _stabilise(rings: Array) -> Array:
     return out
 
 
-def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
-    """Points where rays from the foot's center through its points meet the hull of foot and disc, shape (SIDES, 2)."""
+def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
+    """Points where rays from the foot's center through its points meet the hull of foot and disk, shape (SIDES, 2)."""
     from scipy.spatial import ConvexHull
 
     angle = np.arange(24) * (2 * math.pi / 24)
-    disc = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    equations = ConvexHull(np.concatenate([foot, disc])).equations
+    disk = center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    equations = ConvexHull(np.concatenate([foot, disk])).equations
     middle = foot.mean(axis=0)
     rays = foot - middle
-    towards = rays @ equations[:, :2].T
+    toward = rays @ equations[:, :2].T
     room = -(equations[:, :2] @ middle + equations[:, 2])
-    reach = np.where(towards > 1e-9, room / np.maximum(towards, 1e-9), np.inf).min(axis=1)
+    reach = np.where(toward > 1e-9, room / np.maximum(toward, 1e-9), np.inf).min(axis=1)
     return np.asarray(middle + rays * reach[:, None])
 
 

@@ -53,7 +53,7 @@ class Evidence:
 
     @property
     def eye(self) -> Array:
-        """Camera centre in the world [m], shape (3,)."""
+        """Camera center in the world [m], shape (3,)."""
         return self.support.X_WC.p
 
     @property
@@ -145,7 +145,7 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of eight neighbours are at their depth."""
+    """Pixels that hang between a near and a far surface: fewer than three of eight neighbors are at their depth."""
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
@@ -164,7 +164,7 @@ def binned(
 
 
 def smooth_gaps(x: Array, values: Array) -> Array:
-    """Interpolate the values that are NaN, hold the ends, and take the median of each three neighbours."""
+    """Interpolate the values that are NaN, hold the ends, and take the median of each three neighbors."""
     from scipy.ndimage import median_filter
 
     good = np.isfinite(values)
@@ -191,7 +191,7 @@ class SolidHits:
 
 
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
-    """Rays against a box of full extents ``size`` [m] centred on ``X_WO``."""
+    """Rays against a box of full extents ``size`` [m] centered on ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
@@ -203,9 +203,9 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
-def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> SolidHits:
+def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
     """Rays against a sphere."""
-    to_eye = eye - centre
+    to_eye = eye - center
     a = np.einsum("ij,ij->i", rays, rays)
     b = rays @ to_eye
     root = b * b - a * (to_eye @ to_eye - radius**2)
@@ -301,7 +301,7 @@ class RayAgreement:
 
     ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
     rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
-    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimise.
+    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimize.
     """
 
     explained: float
@@ -351,7 +351,7 @@ def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Arr
 class FitCandidate:
     """One family's best solid; ``guessed`` if a prior supplied an extent that was not seen.
 
-    The origin of ``X_WO`` is the centre of the bounding box of a primitive, or of the base, z up, of a mesh.
+    The origin of ``X_WO`` is the center of the bounding box of a primitive, or of the base, z up, of a mesh.
     ``profile`` (radius, height) [m], shape (k, 2), describes a body of revolution.
     """
 

@@ -27,10 +27,10 @@ GAIN = 0.03  # share of the object that a completed shape must explain beyond a 
 class FittedShape:
     """A solid fitted to one object.
 
-    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the centre of the
-    bounding box for primitives and at the centre of the base, z up, for meshes; ``fit_m`` the median distance of the
+    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the center of the
+    bounding box for primitives and at the center of the base, z up, for meshes; ``fit_m`` the median distance of the
     object's visible points from the surface [m]; ``confidence`` in [0, 1], see :func:`confidence`; ``hollow`` says that
-    it is an open container modelled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
+    it is an open container modeled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
     mesh is a body of revolution.
     """
 

@@ -23,10 +23,10 @@ from simfoundry.geometry.tessellate import revolved
 LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls
 WALL = 0.004  # [m] wall of a container: crockery has 3 to 6 mm
 OPEN = 0.08  # share of the points that can only be seen if the object is open at the top
-PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]
+PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a meter [m]
 SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
 FLOOR = 0.005  # [m] floor of a container, where it is not seen
-_MIN_RADIUS = 0.003  # [m] the depth noise at half a metre
+_MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
 _MIN_IN_LEVEL = 4  # points that a level needs for a median
 
 
@@ -101,15 +101,15 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     height = max(evidence.top - evidence.base_z, 2 * _MIN_RADIUS)
     side = z < height - 0.4 * evidence.scale  # above are the points of the lid
     edges = np.linspace(0.0, height, LEVELS + 1)
-    centres = (edges[:-1] + edges[1:]) / 2
-    radii = _fill(centres, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
-    heights = np.concatenate([[height], centres[::-1], [0.0]])
+    centers = (edges[:-1] + edges[1:]) / 2
+    radii = _fill(centers, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
+    heights = np.concatenate([[height], centers[::-1], [0.0]])
     outline = np.concatenate([[radii[-1]], radii[::-1], [radii[0]]])
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
 
 
 def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
-    """Mark the points seen through the disc of ``radius`` [m] at the height of the rim, and clearly below it."""
+    """Mark the points seen through the disk of ``radius`` [m] at the height of the rim, and clearly below it."""
     below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
@@ -127,15 +127,15 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     rim = float(np.percentile(near_rim, 90) if len(near_rim) >= _MIN_IN_LEVEL else np.percentile(r, 95))
     inner = _seen_through_rim(evidence, axis, rim)
     edges = np.linspace(0.0, height, LEVELS + 1)
-    centres = (edges[:-1] + edges[1:]) / 2
+    centers = (edges[:-1] + edges[1:]) / 2
     outside = _level_radii(r[~inner], z[~inner], edges)
     inside = _level_radii(r[inner], z[inner], edges)
-    outer = _fill(centres, np.where(np.isfinite(outside), outside, inside + WALL), rim)
+    outer = _fill(centers, np.where(np.isfinite(outside), outside, inside + WALL), rim)
     floor = min(FLOOR, 0.3 * height)
     central = z[inner & (r < 0.4 * rim)]
     if len(central) >= 2 * _MIN_IN_LEVEL:
         floor = float(np.clip(np.median(central), FLOOR, height - 2 * FLOOR))
-    levels = np.concatenate([[0.0], centres, [height]])
+    levels = np.concatenate([[0.0], centers, [height]])
     outer_at = np.maximum(np.concatenate([outer[:1], outer, [max(outer[-1], rim)]]), _MIN_RADIUS + WALL)
     limit = np.concatenate([[np.inf], np.where(np.isfinite(inside), inside, np.inf), [np.inf]])
     inner_at = np.maximum(np.minimum(outer_at - WALL, np.maximum(limit, outer_at - 4 * WALL)), _MIN_RADIUS)

@@ -19,7 +19,7 @@ from simfoundry.capture.shapes.evidence import (
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
-SMALLEST = 0.004  # [m] least radius or extent: below the depth noise at half a metre
+SMALLEST = 0.004  # [m] least radius or extent: below the depth noise at half a meter
 DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
 _FACE_SHARE = 0.06  # of the points: with fewer, a face does not measure how far the box extends along it
 _WALK = (0.012, 0.006, 0.003, 0.0015, 0.0007)  # [m]
@@ -146,9 +146,9 @@ def _box_around(evidence: Evidence, yaw: float) -> Array:
     c, s = math.cos(yaw), math.sin(yaw)
     local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
     low, high = np.percentile(local, [1.0, 99.0], axis=0)
-    centre = np.array([[c, -s], [s, c]]) @ ((low + high) / 2)
+    center = np.array([[c, -s], [s, c]]) @ ((low + high) / 2)
     extents = np.maximum(high - low, SMALLEST)
-    return np.array([*centre, yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST)])
+    return np.array([*center, yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST)])
 
 
 def _distinct(starts: list[Array], count: int = 2) -> list[Array]:

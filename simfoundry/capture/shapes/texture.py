@@ -1,7 +1,7 @@
-"""Colour of a captured object: one robust colour, or a mesh whose texture is baked from the picture.
+"""Color of a captured object: one robust color, or a mesh whose texture is baked from the picture.
 
-The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up
-in the picture. What the camera did not see is coloured from the seen point that lies opposite.
+The texture is baked in space: every texel knows the point of the surface that it colors, and that point is looked up
+in the picture. What the camera did not see is colored from the seen point that lies opposite.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from simfoundry.geometry.tessellate import tessellate
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
-_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its colour
-_NORMAL_WEIGHT = 0.03  # metres that a unit of normal counts when a seen point is looked for
-_LENDERS = 6000  # points that lend their colour: bounds the search for the nearest
-_TOO_FAR = 0.3  # of the object's size: beyond it, the plain colour is better than a stretched one
+_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its color
+_NORMAL_WEIGHT = 0.03  # meters that a unit of normal counts when a seen point is looked for
+_LENDERS = 6000  # points that lend their color: bounds the search for the nearest
+_TOO_FAR = 0.3  # of the object's size: beyond it, the plain color is better than a stretched one
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class _Texels:
 
 
 def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Robust mean colour of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
+    """Robust mean color of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
 
-    Left out are the rim of the mask, where colours mix, and the darkest tenth and lightest fifth: shadows, highlights.
+    Left out are the rim of the mask, where colors mix, and the darkest tenth and lightest fifth: shadows, highlights.
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -54,15 +54,15 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
 def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> Mesh:
     """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
 
-    ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
+    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors from outside it never enter. Raises ``ValueError``
     if the mask is empty.
     """
     if not mask.any():
-        raise ValueError("an empty mask has no colours to make a texture from")
+        raise ValueError("an empty mask has no colors to make a texture from")
     mesh = tessellate(shape.geometry)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
-    texels = _rasterise(atlas, vertices, faces)
+    texels = _rasterize(atlas, vertices, faces)
     colors = _paint(texels, _View.of(shape, frame, support, mask), np.array(dominant_color(frame, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
     new_faces = atlas.faces.copy()
@@ -70,7 +70,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), _png(picture))
 
 
-def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
+def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
     """Find the texels inside each face, and the point and normal of the surface at each."""
     normals = face_normals(vertices, faces)
     point_map = np.full((atlas.size, atlas.size, 3), np.nan)
@@ -84,7 +84,7 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
         x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
         weights = np.linalg.solve(edges, np.stack([x.ravel() - corners[0, 0], y.ravel() - corners[0, 1]]))
         weights = np.vstack([1.0 - weights.sum(axis=0), weights])
-        # A weight times the height over its edge is a distance [texels]. A texel whose centre just misses the face
+        # A weight times the height over its edge is a distance [texels]. A texel whose center just misses the face
         # belongs to it all the same, or seams would show.
         sides = np.linalg.norm(corners[[1, 2, 0]] - corners[[2, 0, 1]], axis=1)
         heights = abs(np.linalg.det(edges)) / np.maximum(sides, 1e-9)
@@ -102,7 +102,7 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
 class _View:
     """The picture as the texture needs it, and how a point of the object comes into it.
 
-    ``colors`` float32, shape (h, w, 3), free of foreign colours; ``core`` bool, shape (h, w), the object's pixels
+    ``colors`` float32, shape (h, w, 3), free of foreign colors; ``core`` bool, shape (h, w), the object's pixels
     without their mixed rim.
     """
 
@@ -119,7 +119,7 @@ class _View:
         return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
 
     def look(self, points: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Colours, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
+        """Colors, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
         from scipy import ndimage
 
         p_W = self.shape.X_WO.apply(points)
@@ -141,25 +141,25 @@ class _View:
 
 
 def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
-    """Colours of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
+    """Colors of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
     points, normals = texels.points, texels.normals
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    center = (points.min(axis=0) + points.max(axis=0)) / 2
     colors, done = np.tile(plain, (len(points), 1)), np.zeros(len(points), dtype=bool)
     # A half turn keeps writing readable, so it goes before the mirror images.
     for flip in ((1, 1, 1), (-1, -1, 1), (-1, 1, 1), (1, -1, 1)):
         todo = np.nonzero(~done)[0]
         if len(todo) == 0:
             return colors
-        found, seen = view.look((points[todo] - centre) * flip + centre, normals[todo] * flip)
+        found, seen = view.look((points[todo] - center) * flip + center, normals[todo] * flip)
         colors[todo[seen]] = found[seen]
         done[todo[seen]] = True
     if 10 <= done.sum() < len(done):
-        _borrow(np.hstack([points - centre, _NORMAL_WEIGHT * normals]), colors, done)
+        _borrow(np.hstack([points - center, _NORMAL_WEIGHT * normals]), colors, done)
     return colors
 
 
 def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
-    """Fill the colours not ``done`` from the nearest that are, in place; those with none near keep what they have."""
+    """Fill the colors not ``done`` from the nearest that are, in place; those with none near keep what they have."""
     from scipy.spatial import cKDTree
 
     lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
@@ -171,7 +171,7 @@ def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
-    """The texture: texels off the surface take the nearest colour on it, so that filtering meets no foreign one."""
+    """The texture: texels off the surface take the nearest color on it, so that filtering meets no foreign one."""
     picture = np.zeros((size, size, 3), dtype=np.float32)
     on_surface = np.zeros((size, size), dtype=bool)
     picture[texels.row, texels.col] = colors
@@ -180,7 +180,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
 
 
 def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Give every pixel that is not ``known`` the colour of the nearest one that is."""
+    """Give every pixel that is not ``known`` the color of the nearest one that is."""
     from scipy import ndimage
 
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -256,7 +256,7 @@ def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15))
 
 
-def _neighbours(faces: NDArray[np.int32]) -> NDArray[np.intp]:
+def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """Pairs of faces that share an edge, shape (k, 2)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
@@ -270,7 +270,7 @@ def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
     """The direction each face belongs to; a lone face among others joins them, so that charts stay few."""
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
-    pairs = _neighbours(faces)
+    pairs = _neighbors(faces)
     for _ in range(3):
         votes = np.zeros((len(faces), 6))
         np.add.at(votes, (pairs[:, 0], facing[pairs[:, 1]]), 1.0)
@@ -286,7 +286,7 @@ def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.in
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    pairs = _neighbours(faces)
+    pairs = _neighbors(faces)
     pairs = pairs[facing[pairs[:, 0]] == facing[pairs[:, 1]]]
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
     return np.asarray(connected_components(graph, directed=False)[1])

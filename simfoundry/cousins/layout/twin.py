@@ -10,9 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from simfoundry.cousins.layout.colliders import Solids
 from simfoundry.cousins.layout.supports import Outline, Support
-from simfoundry.cousins.layout.twin_objects import TwinObject, TwinRobots, joined, link_shadows
+from simfoundry.cousins.layout.twin_objects import Solids, TwinObject, TwinRobots, joined, link_shadows
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.placement import rounded

@@ -132,8 +132,8 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
     forms = view.forms(a)
     for j, form in forms:  # the bounding balls decide most states
         X_WA = view.link(a.owner, j)
-        centre, radius = form.ball
-        gap = np.linalg.norm(X_WA.p + X_WA.R @ centre - middle, axis=1) - radius - hole.size
+        center, radius = form.ball
+        gap = np.linalg.norm(X_WA.p + X_WA.R @ center - middle, axis=1) - radius - hole.size
         out = np.minimum(out, gap)
     out = -out
     near = np.flatnonzero(out >= 0)
@@ -216,11 +216,11 @@ class SupportContact:
 
 
 def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
-    """Distance of the centre of mass of ``a`` from the edge of the outline of ``b``, positive inside [m], (n,).
+    """Distance of the center of mass of ``a`` from the edge of the outline of ``b``, positive inside [m], (n,).
 
-    If the centre of mass is beside ``b`` and another object touches ``a`` too, the margin of that contact instead.
+    If the center of mass is beside ``b`` and another object touches ``a`` too, the margin of that contact instead.
     """
-    within = over(centre_of_mass(view, a), view.boxes(b))
+    within = over(center_of_mass(view, a), view.boxes(b))
     for other in context.others(a, b):
         left = np.flatnonzero(within <= 0)
         if len(left):
@@ -229,8 +229,8 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
     return within
 
 
-def centre_of_mass(view: View, a: Entity) -> Array:
-    """Centre of mass of an entity [m], (n, 3); the middle of its bounding box if it has no mass."""
+def center_of_mass(view: View, a: Entity) -> Array:
+    """Center of mass of an entity [m], (n, 3); the middle of its bounding box if it has no mass."""
     links = view.bodies[a.owner].item.links
     masses = [links[k].mass for k in a.links]
     if sum(masses) <= 0:
@@ -247,7 +247,7 @@ def balance_text(a: Entity, b: Entity, value: float) -> str:
     if value > 0:
         return f"it supports `{a.name}`"
     return (
-        f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
+        f"`{a.name}` would fall: its center of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
     )
 
 

@@ -79,18 +79,18 @@ UP = np.array([0.0, 0.0, 1.0])
 class Boxes(NamedTuple):
     """Bounding box of an entity in its own frame, and one rotated by 45 degrees about its z axis.
 
-    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``centre`` [m] in the world,
+    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``center`` [m] in the world,
     (2, n, 3); ``half`` extents [m], (2, n, 3); ``R``, their axes, (2, n, 3, 3).
     """
 
-    centre: Array
+    center: Array
     half: Array
     R: Array
 
     @property
     def middle(self) -> Array:
         """Middle of the first box [m], (n, 3)."""
-        return np.asarray(self.centre[0])
+        return np.asarray(self.center[0])
 
     @property
     def reach(self) -> Array:
@@ -106,11 +106,11 @@ class Boxes(NamedTuple):
 class Balls(NamedTuple):
     """Links with a form, by index, and a bounding ball of each in n states.
 
-    ``centre`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
+    ``center`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
     """
 
     links: list[tuple[int, Form]]
-    centre: Array
+    center: Array
     radius: Array
 
 
@@ -180,8 +180,8 @@ class View:
         """Bounding balls of the solid links of an entity."""
         if thing not in self._balls:
             solid = [(k, form) for k, form in self.forms(thing) if form.solid]
-            centres = [self.link(thing.owner, k) for k, _ in solid]
-            around = [X.p + X.R @ form.ball[0] for X, (_, form) in zip(centres, solid, strict=True)]
+            centers = [self.link(thing.owner, k) for k, _ in solid]
+            around = [X.p + X.R @ form.ball[0] for X, (_, form) in zip(centers, solid, strict=True)]
             stacked = np.stack(around, axis=1) if around else np.zeros((self.n, 0, 3))
             self._balls[thing] = Balls(solid, stacked, np.array([form.ball[1] for _, form in solid]))
         return self._balls[thing]
@@ -224,13 +224,13 @@ class View:
 
 def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
     """Compute boxes from the extents along :data:`TURNED` in the frame, (n, 5) each."""
-    centres, halves, axes = [], [], []
+    centers, halves, axes = [], [], []
     for rows in ([0, 1, 2], [3, 4, 2]):
         basis = TURNED[rows].T
-        centres.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
+        centers.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
         halves.append((high - low)[:, rows] / 2)
         axes.append(X_WF.R @ basis)
-    return Boxes(np.stack(centres), np.stack(halves), np.stack(axes))
+    return Boxes(np.stack(centers), np.stack(halves), np.stack(axes))
 
 
 def over(points: Array, boxes: Boxes) -> Array:
@@ -239,9 +239,9 @@ def over(points: Array, boxes: Boxes) -> Array:
     The outline of a box is a hexagon whose sides are those of its edges.
     """
     margin = np.full(len(points), np.inf)
-    for centre, half, axes in zip(boxes.centre, boxes.half, boxes.R, strict=True):
+    for center, half, axes in zip(boxes.center, boxes.half, boxes.R, strict=True):
         edges = half[:, :, None] * axes[:, :2, :].transpose(0, 2, 1)  # (n, edge, xy)
-        away = (points - centre)[:, :2]
+        away = (points - center)[:, :2]
         for k in range(3):
             length = np.linalg.norm(edges[:, k], axis=1)
             lying = length > 1e-9

@@ -35,7 +35,7 @@ Measurement = Generator[Trial, Moments, float]
 
 
 @dataclass(frozen=True)
-class Behaviour:
+class Behavior:
     """One behavior: ``expected`` and ``tolerance`` in ``unit``, and the reason for that tolerance."""
 
     name: str
@@ -236,25 +236,25 @@ def settled_rotation() -> Measurement:
     return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))
 
 
-BEHAVIOURS: tuple[Behaviour, ...] = (
-    Behaviour("free_fall", "free fall, of g t²/2", "", 1.0, 1e-3, "one step of 3 s is 0.07 %", free_fall),
-    Behaviour("slip_angle", "box slips at", "deg", _SLIP, 1.0, "required accuracy; ramps 0.14 deg apart", slip_angle),
-    Behaviour("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the required accuracy", pendulum_period),
-    Behaviour("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the required accuracy", damped_decay),
-    Behaviour("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),
-    Behaviour("limit", "joint limit exceeded by", "mm", 0.0, 5.0, "limits are springs in most engines", limit_holds),
-    Behaviour("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is invisible", friction_holds),
-    Behaviour("friction_slips", "slipping joint accelerates", "m/s²", _WEIGHT - 6.0, 0.05 * (_WEIGHT - 6.0),
+BEHAVIORS: tuple[Behavior, ...] = (
+    Behavior("free_fall", "free fall, of g t²/2", "", 1.0, 1e-3, "one step of 3 s is 0.07 %", free_fall),
+    Behavior("slip_angle", "box slips at", "deg", _SLIP, 1.0, "required accuracy; ramps 0.14 deg apart", slip_angle),
+    Behavior("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the required accuracy", pendulum_period),
+    Behavior("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the required accuracy", damped_decay),
+    Behavior("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),
+    Behavior("limit", "joint limit exceeded by", "mm", 0.0, 5.0, "limits are springs in most engines", limit_holds),
+    Behavior("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is invisible", friction_holds),
+    Behavior("friction_slips", "slipping joint accelerates", "m/s²", _WEIGHT - 6.0, 0.05 * (_WEIGHT - 6.0),
               "5 %: one step of 1 s, and soft friction", friction_slips),
-    Behaviour("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
+    Behavior("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
               0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as for the decay", damped_friction),
-    Behaviour("drive", "motor holds at", "mm", 1000 * (0.05 + _WEIGHT / 200.0), 1.0, "1 mm", drive_holds),
-    Behaviour("mimic", "follower goes, of its leader", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
+    Behavior("drive", "motor holds at", "mm", 1000 * (0.05 + _WEIGHT / 200.0), 1.0, "1 mm", drive_holds),
+    Behavior("mimic", "follower goes, of its leader", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
               follower_keeps),
-    Behaviour("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other box settles by 1 or 2 mm",
+    Behavior("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other box settles by 1 or 2 mm",
               passes_through),
-    Behaviour("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
+    Behavior("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
               settled_position),
-    Behaviour("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "so any two engines are within 1 degree",
+    Behavior("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "so any two engines are within 1 degree",
               settled_rotation),
 )  # fmt: skip

@@ -10,18 +10,18 @@ import pytest
 
 from simfoundry.targets.find import find_target, target_names
 from simfoundry.verify import rigs
-from simfoundry.verify.behaviours import BEHAVIOURS, Behaviour, Trial
+from simfoundry.verify.behaviors import BEHAVIORS, Behavior, Trial
 from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 from simfoundry.verify.readback import Moment, pose_numbers
-from simfoundry.verify.run import ProofStatus, judge_result, measure_behaviours
+from simfoundry.verify.run import ProofStatus, judge_result, measure_behaviors
 from tests.scenes import pose
 
-BY_NAME = {b.name: b for b in BEHAVIOURS}
+BY_NAME = {b.name: b for b in BEHAVIORS}
 
 
-def answer(behaviour: Behaviour, moments: Sequence[Moment]) -> float:
+def answer(behavior: Behavior, moments: Sequence[Moment]) -> float:
     """The value that a measurement of one trial takes from moments."""
-    measurement = behaviour.measure()
+    measurement = behavior.measure()
     assert isinstance(next(measurement), Trial)
     with pytest.raises(StopIteration) as done:
         measurement.send(moments)
@@ -94,14 +94,14 @@ def test_verdicts_know_what_an_engine_cannot_do() -> None:
     assert judge_result(slip, find_engine("sapien"), "it died").verdict is ProofStatus.FAILED
 
 
-def test_what_is_known_is_of_engines_and_behaviours_that_exist_and_is_not_the_answer() -> None:
+def test_what_is_known_is_of_engines_and_behaviors_that_exist_and_is_not_the_answer() -> None:
     steps = {engine.target.name for engine in all_engines() if engine.spec.steps}
     profiles = {name: find_target(name).profile for name in target_names()}
-    bands = [(engine, name, band) for engine, each in profiles.items() for name, band in each.behaviours.items()]
+    bands = [(engine, name, band) for engine, each in profiles.items() for name, band in each.behaviors.items()]
     assert len(bands) > 10
-    for family, behaviour, known in bands:
+    for family, behavior, known in bands:
         assert family in steps
-        answer_is = BY_NAME[behaviour]
+        answer_is = BY_NAME[behavior]
         assert known.low < known.high
         # A band that lay within the tolerance would never be needed.
         assert (
@@ -114,8 +114,8 @@ def test_mujoco_and_pybullet_behave() -> None:
     engines = {name: find_engine(name) for name in ("mujoco", "pybullet")}
     found = [f for f in find_installed(engines, interpreters([], (), {})).values() if f]
     done: list[str] = []
-    results = measure_behaviours(BEHAVIOURS, found, lambda engine, units: done.append(engine), workers=2)
+    results = measure_behaviors(BEHAVIORS, found, lambda engine, units: done.append(engine), workers=2)
     wrong = [m for m in results if m.verdict not in (ProofStatus.OK, ProofStatus.KNOWN)]
     assert wrong == []
-    assert len(results) == len(BEHAVIOURS) * len(found) == len(done)
-    assert {m.behaviour for m in results if m.engine == "mujoco" and m.verdict is ProofStatus.OK} == set(BY_NAME)
+    assert len(results) == len(BEHAVIORS) * len(found) == len(done)
+    assert {m.behavior for m in results if m.engine == "mujoco" and m.verdict is ProofStatus.OK} == set(BY_NAME)
