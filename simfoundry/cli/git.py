@@ -40,11 +40,11 @@ class Scope:
 
 
 @click.group()
-def command() -> None:
+def git_command() -> None:
     """Set up git to diff and merge documents by meaning."""
 
 
-@command.command()
+@git_command.command()
 @_scope[0]
 @_scope[1]
 @click.option("--uninstall", is_flag=True, help="Remove the settings.")
@@ -76,7 +76,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     return DONE
 
 
-@command.command()
+@git_command.command()
 @json_option
 @reporting
 def status(as_json: bool) -> int:

@@ -1,4 +1,4 @@
-"""``simfoundry import``."""
+"""Commands for other formats: ``import``, ``export``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,21 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.api.load import is_compiled_stage
-from simfoundry.cli.options import ANY, FILE, pairs
-from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
+from simfoundry.cli.options import ANY, FILE, NEW_FILE, pairs
+from simfoundry.cli.output import (
+    CANNOT,
+    DONE,
+    FINDINGS,
+    CannotError,
+    print_document,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+    write_text,
+)
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import SpecError
 
 if TYPE_CHECKING:
     from simfoundry.frontends.draft import ImportOptions
@@ -52,18 +65,10 @@ HEADINGS = {
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
-def command(
-    files: tuple[Path, ...],
-    out: Path | None,
-    packages: dict[str, str],
-    scene: Path | None,
-    onto: Path | None,
-    bound: dict[str, str],
-    density: float | None,
-    force: bool,
-    strict: bool,
-    as_json: bool,
-) -> int:
+def import_command(
+    files: tuple[Path, ...], out: Path | None, packages: dict[str, str], scene: Path | None, onto: Path | None,
+    bound: dict[str, str], density: float | None, force: bool, strict: bool, as_json: bool,
+) -> int:  # fmt: skip
     """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
 
     A stage that `compile` wrote becomes its own document again, with the edits made to the stage: in OUT if that
@@ -129,7 +134,7 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
     with progress_bar(as_json) as progress:
         for done, (source, target) in enumerate(jobs):
             progress(source.name, done / len(jobs))
-            reports.append(_guarded(source, target, options))
+            reports.append(_import_one(source, target, options))
     refused = [report for report in reports if report.error]
     if as_json:
         print_json({"files": [report.to_json() for report in reports]})
@@ -140,26 +145,18 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
     return FINDINGS if strict and any(report.notes for report in reports) else DONE
 
 
-def _guarded(source: Path, target: Path, options: ImportOptions) -> ImportReport:
+def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
     """Return the report on one file of many; an error in one file does not stop the others."""
-    from simfoundry.errors import SimfoundryError
-    from simfoundry.frontends.importer import ImportReport, import_file
-    from simfoundry.spec.diagnostics import SpecError
-
-    try:
-        take = _brought_back if is_compiled_stage(source) else import_file
-        return take(source, target, options)
-    except (SimfoundryError, SpecError, OSError) as error:
-        return ImportReport(str(source), None, error=str(error))
-
-
-def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportReport:
-    """Return the report on a stage that was compiled from a document, which is written again."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
-    from simfoundry.frontends.importer import ImportReport
+    from simfoundry.frontends.importer import ImportReport, import_file
     from simfoundry.frontends.usd.compiled import import_stage
 
-    imported = import_stage(source, target, None, options.force)
+    try:
+        if not is_compiled_stage(source):
+            return import_file(source, target, options)
+        imported = import_stage(source, target, None, options.force)
+    except (SimfoundryError, SpecError, OSError) as error:
+        return ImportReport(str(source), None, error=str(error))
     notes = tuple(ImportNote(ImportNoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
     return ImportReport(str(source), str(target), "a compiled stage", notes=notes)
 
@@ -237,9 +234,8 @@ def _listed(things: list[str], most: int = 4) -> str:
 
 
 def _counts(report: ImportReport) -> str:
-    words = (("bodies", "body"), ("links", "link"), ("joints", "joint"), ("cameras", "camera"), ("lights", "light"),
-             ("meshes", "mesh"))  # fmt: skip
-    found = [(getattr(report, plural), plural, single) for plural, single in words]
+    words = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
+    found = [(getattr(report, plural), plural, single) for plural, single in (words | {"meshes": "mesh"}).items()]
     return ", ".join(f"{n} {single if n == 1 else plural}" for n, plural, single in found if n)
 
 
@@ -257,3 +253,42 @@ def _table(reports: list[ImportReport]) -> str:
     refused = sum(bool(report.error) for report in reports)
     lines.append(f"{len(reports) - refused} of {len(reports)} imported")
     return "\n".join(lines)
+
+
+@subcommand(force=True)
+@click.argument("task", type=FILE)
+@click.option(
+    "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
+    help="Write BDDL for LIBERO or BEHAVIOR, or the task YAML of the paper's release.",
+)  # fmt: skip
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
+def export_command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
+    """Write a task as BDDL, or in the format of the paper's release.
+
+    A goal that the format cannot express is an error; parts of the initial state that it cannot express are reported.
+    `simfoundry import` reads all three formats.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.frontends.task_export import export_task
+    from simfoundry.scene.lower import lower_file
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.models.task import TaskSpec
+
+    loaded = load_kind(task, "task/1")
+    spec = loaded.spec
+    assert isinstance(spec, TaskSpec)
+    protect_output(out, [task, *loaded.files()], force)
+    if as_json and out is None:
+        raise CannotError("--json needs an output file; name it with `-o FILE`")
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
+    if out is None:
+        print_document(export.text)
+    else:
+        write_text(out, export.text)
+    if as_json:
+        print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
+    else:
+        for note in export.notes:
+            click.echo(f"differs from the task: {note}", err=True)
+    return FINDINGS if strict and export.notes else DONE

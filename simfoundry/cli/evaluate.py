@@ -1,4 +1,4 @@
-"""``simfoundry eval``."""
+"""Commands that measure policies: ``eval``, ``correlate``."""
 
 from __future__ import annotations
 
@@ -8,18 +8,28 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.options import ANY, NEW_FOLDER, files_below, resumable
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, resumable
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
-from simfoundry.cli.worlds import WorldName
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+    write_text,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from rich.console import Console
 
     from simfoundry.api.evaluation import Evaluation
     from simfoundry.evaluate.entries import TaskEntry
     from simfoundry.evaluate.run import EvaluationPlan
-
+    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
 
 SENTENCES = 10
 """Number of problems, and of comparisons, printed as sentences; more do not fit on a screen beside the table."""
@@ -54,23 +64,11 @@ SENTENCES = 10
     "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
 )
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
-def command(
-    tasks: tuple[Path, ...],
-    policies: tuple[str, ...],
-    out: Path,
-    rollouts: int,
-    seed: int,
-    worlds: tuple[str, ...],
-    onward: str | None,
-    alone: str | None,
-    subtasks: bool,
-    video: bool | None,
-    cameras: tuple[str, ...],
-    jobs: int,
-    shard: tuple[int, int],
-    require: float | None,
-    as_json: bool,
-) -> int:
+def eval_command(
+    tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
+    onward: str | None, alone: str | None, subtasks: bool, video: bool | None, cameras: tuple[str, ...], jobs: int,
+    shard: tuple[int, int], require: float | None, as_json: bool,
+) -> int:  # fmt: skip
     """Evaluate policies on tasks.
 
     TASKS are task documents, or folders of them. Every policy gets the same initial states; in each rollout, each
@@ -140,7 +138,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
         extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
         print_json({**evaluation.results, **extra})
     else:
-        _print(evaluation.records)
+        _print_rates(evaluation.records)
         for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
         if len(troubles) > SENTENCES:
@@ -154,7 +152,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
     return FINDINGS if missing or low else DONE
 
 
-def _print(records: Sequence[Mapping[str, Any]]) -> None:
+def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -208,3 +206,113 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     for other in compare_engines(records):
         if other.disagrees:
             console.print(other.sentence, markup=False, soft_wrap=True)
+
+
+@subcommand(force=True)
+@click.argument("real", type=ANY)
+@click.argument("sim", nargs=-1, required=True, type=ANY)
+@click.option(
+    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
+    help="Number of rollouts to assume for a rate without a count.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
+    help="Number of samples for the intervals.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the sampling.")
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
+def correlate_command(
+    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
+
+    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or results of `simfoundry eval`.
+    Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
+    rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
+    """
+    from simfoundry.evaluate.statistics.correlation import (
+        Draws,
+        agreements,
+        by_engine,
+        left_out,
+        read_scores,
+        reservations,
+    )
+
+    protect_output(svg, [real, *sim], force)
+    truth = read_scores(real)
+    if len(engines := by_engine(truth)) > 1:
+        raise CannotError(f"{real} has results of {' and '.join(engines)}; pass one table of real results")
+    tables: dict[str, list[Score]] = {}
+    for name, path in zip(_table_names(sim), sim, strict=True):
+        each = by_engine(read_scores(path))
+        tables |= {f"{name} in {engine}" if len(each) > 1 else name: table for engine, table in each.items()}
+    how = Draws(count=draws, rollouts=rollouts, seed=seed)
+    found = {name: agreements(truth, table, how) for name, table in tables.items()}
+    missing = {name: left_out(truth, table) for name, table in tables.items()}
+    said = {name: reservations([*truth, *table]) for name, table in tables.items()}
+    if svg is not None:
+        from simfoundry.reports.correlation import scatter
+
+        write_text(svg, scatter(found))
+    if as_json:
+        print_json(
+            {name: {**_agreement_json(one, missing[name]), "reservations": said[name]} for name, one in found.items()}
+        )
+        return
+    _print_agreements(found, missing, said)
+    if svg is not None:
+        click.echo(f"\nwrote {svg}")
+
+
+def _table_names(sim: Sequence[Path]) -> list[str]:
+    names = [path.stem if path.suffix else path.name for path in sim]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in sim]
+    if len(set(names)) < len(names):
+        raise CannotError("the same table is given twice")
+    return names
+
+
+def _agreement_json(found: Sequence[RateAgreement], missing: list[str]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
+
+    r, violation = mean_agreement(found)
+    return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
+
+
+def _print_agreements(
+    found: Mapping[str, Sequence[RateAgreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
+) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
+
+    console = Console()
+    for name, one in found.items():
+        table = Table(title=name, title_justify="left", box=None, pad_edge=False)
+        for title in ("task", "policies", "Pearson r", "MMRV"):
+            table.add_column(title, no_wrap=True)
+        for a in one:
+            table.add_row(
+                a.task,
+                str(len(a.policies)),
+                _with_interval(a.pearson, a.pearson_interval),
+                _with_interval(a.mmrv, a.mmrv_interval),
+            )
+        r, violation = mean_agreement(one)
+        table.add_row("mean", "", _with_interval(r, None), _with_interval(violation, None), style="bold")
+        console.print(table)
+        if missing[name]:
+            console.print(f"not in both tables: {', '.join(missing[name])}", markup=False, soft_wrap=True)
+        for sentence in said[name]:
+            console.print(sentence, markup=False, soft_wrap=True)
+
+
+def _with_interval(value: float | None, interval: Interval | None) -> str:
+    figure = "undefined" if value is None else f"{value:.3f}"
+    return figure if interval is None or value is None else f"{figure} ({interval[0]:.3f} to {interval[1]:.3f})"
