@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.api.load import is_compiled_stage
+from simfoundry.api.scenes import is_compiled_stage
 from simfoundry.cli.options import ANY, FILE, NEW_FILE, pairs
 from simfoundry.cli.output import (
     CANNOT,

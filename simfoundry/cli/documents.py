@@ -128,7 +128,7 @@ def _check(file: Path, lints: bool) -> Checked:
     loaded = load(file, root, _known.setdefault(root, {}))
     findings = loaded.all_findings()
     if lints:
-        from simfoundry.lint.run import lint
+        from simfoundry.lint.lints import lint
 
         findings += lint(loaded, _linted)
     return Checked(tuple(findings), tuple(map(str, _used(loaded))))

@@ -154,24 +154,20 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
 
 def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
-    table = Table(box=None, pad_edge=False)
-    for title in ("task", *policies):
-        table.add_column(title, no_wrap=True)
+    table = Table(*(Column(title, no_wrap=True) for title in ("task", *policies)), box=None, pad_edge=False)
     for name, here in titles(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
-        for step in (
-            () if len(titles(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
-        ):
+        steps = dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+        for step in steps if len(titles(found)) <= MANY else ():
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
-            table.add_row(
-                f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
-            )
+            rates = (f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each)
+            table.add_row(f"  {step}", *rates, style="dim")
     console = Console()
     console.print(table)
     _print_pools(console, records)
@@ -179,7 +175,7 @@ def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
     """Print the rates over all tasks, and the significance of the differences between policies."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
     from simfoundry.evaluate.statistics.results import pool_rows, pools
@@ -187,9 +183,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     found = pools(records)
     if found:
         policies = list(dict.fromkeys(pool.policy for pool in found))
-        table = Table(box=None, pad_edge=False)
-        for title in ("together", *policies):
-            table.add_column(title, overflow="fold")
+        table = Table(*(Column(title, overflow="fold") for title in ("together", *policies)), box=None, pad_edge=False)
         for name, here in pool_rows(found).items():
             tasks = max(len(pool.counts) for pool in here.values())
             table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
@@ -231,35 +225,26 @@ def correlate_command(
     Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
     rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
     """
-    from simfoundry.evaluate.statistics.correlation import (
-        Draws,
-        agreements,
-        by_engine,
-        left_out,
-        read_scores,
-        reservations,
-    )
+    from simfoundry.evaluate.statistics import correlation
 
     protect_output(svg, [real, *sim], force)
-    truth = read_scores(real)
-    if len(engines := by_engine(truth)) > 1:
+    truth = correlation.read_scores(real)
+    if len(engines := correlation.by_engine(truth)) > 1:
         raise CannotError(f"{real} has results of {' and '.join(engines)}; pass one table of real results")
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_table_names(sim), sim, strict=True):
-        each = by_engine(read_scores(path))
+        each = correlation.by_engine(correlation.read_scores(path))
         tables |= {f"{name} in {engine}" if len(each) > 1 else name: table for engine, table in each.items()}
-    how = Draws(count=draws, rollouts=rollouts, seed=seed)
-    found = {name: agreements(truth, table, how) for name, table in tables.items()}
-    missing = {name: left_out(truth, table) for name, table in tables.items()}
-    said = {name: reservations([*truth, *table]) for name, table in tables.items()}
+    how = correlation.Draws(count=draws, rollouts=rollouts, seed=seed)
+    found = {name: correlation.agreements(truth, table, how) for name, table in tables.items()}
+    missing = {name: correlation.left_out(truth, table) for name, table in tables.items()}
+    said = {name: correlation.reservations([*truth, *table]) for name, table in tables.items()}
     if svg is not None:
         from simfoundry.reports.correlation import scatter
 
         write_text(svg, scatter(found))
     if as_json:
-        print_json(
-            {name: {**_agreement_json(one, missing[name]), "reservations": said[name]} for name, one in found.items()}
-        )
+        print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
         return
     _print_agreements(found, missing, said)
     if svg is not None:
@@ -267,45 +252,38 @@ def correlate_command(
 
 
 def _table_names(sim: Sequence[Path]) -> list[str]:
-    names = [path.stem if path.suffix else path.name for path in sim]
-    if len(set(names)) < len(names):
-        names = [str(path) for path in sim]
-    if len(set(names)) < len(names):
-        raise CannotError("the same table is given twice")
-    return names
+    for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
+        if len(set(names)) == len(names):
+            return names
+    raise CannotError("the same table is given twice")
 
 
-def _agreement_json(found: Sequence[RateAgreement], missing: list[str]) -> dict[str, Any]:
+def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:
     from dataclasses import asdict
 
     from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     r, violation = mean_agreement(found)
-    return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
+    mean = {"pearson": r, "mmrv": violation}
+    return {"tasks": [asdict(a) for a in found], "mean": mean, "not_in_both": missing, "reservations": said}
 
 
 def _print_agreements(
     found: Mapping[str, Sequence[RateAgreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
 ) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     console = Console()
     for name, one in found.items():
-        table = Table(title=name, title_justify="left", box=None, pad_edge=False)
-        for title in ("task", "policies", "Pearson r", "MMRV"):
-            table.add_column(title, no_wrap=True)
+        columns = (Column(title, no_wrap=True) for title in ("task", "policies", "Pearson r", "MMRV"))
+        table = Table(*columns, title=name, title_justify="left", box=None, pad_edge=False)
         for a in one:
-            table.add_row(
-                a.task,
-                str(len(a.policies)),
-                _with_interval(a.pearson, a.pearson_interval),
-                _with_interval(a.mmrv, a.mmrv_interval),
-            )
-        r, violation = mean_agreement(one)
-        table.add_row("mean", "", _with_interval(r, None), _with_interval(violation, None), style="bold")
+            r, violation = _with_interval(a.pearson, a.pearson_interval), _with_interval(a.mmrv, a.mmrv_interval)
+            table.add_row(a.task, str(len(a.policies)), r, violation)
+        table.add_row("mean", "", *(_with_interval(mean, None) for mean in mean_agreement(one)), style="bold")
         console.print(table)
         if missing[name]:
             console.print(f"not in both tables: {', '.join(missing[name])}", markup=False, soft_wrap=True)

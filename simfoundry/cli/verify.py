@@ -130,7 +130,9 @@ def _subjects(
     for k, path in enumerate(paths):
         progress(f"compile {path.name}", 0.3 * k / len(paths))
         scene = lower_file(path, Cache.default())
-        subject = built(_name(path, paths), scene, here, folder / str(k))
+        name = path.name.removesuffix(".scene.yaml")
+        is_shared = sum(other.name == path.name for other in paths) > 1
+        subject = built(f"{path.parent.name}/{name}" if is_shared else name, scene, here, folder / str(k))
         if build is not None:
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
@@ -139,12 +141,6 @@ def _subjects(
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
-
-
-def _name(path: Path, paths: Sequence[Path]) -> str:
-    """Return a file's name without suffixes, with its folder if another file has the same name."""
-    name = path.name.removesuffix(".scene.yaml")
-    return f"{path.parent.name}/{name}" if sum(other.name == path.name for other in paths) > 1 else name
 
 
 def _verify(
@@ -185,9 +181,9 @@ def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Seq
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
     engines: dict[str, dict[str, Any]] = {
-        name: {"found": False, "install": wanted[name].spec.install}
-        if f is None
-        else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
+        name: {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
+        if f is not None
+        else {"found": False, "install": wanted[name].spec.install}
         for name, f in found.items()
     }
     return {

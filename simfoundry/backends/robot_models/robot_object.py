@@ -17,8 +17,7 @@ import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import hull_mesh
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, hull_mesh
 from simfoundry.scene.kinematics import joint_transform
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, SceneObject, Visual
 from simfoundry.scene.robot import Robot

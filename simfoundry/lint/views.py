@@ -1,4 +1,4 @@
-"""SF409: objects that no camera sees, even without occlusion."""
+"""SF409 and SF412: objects that no camera sees, even without occlusion, and textures that cannot be used."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from itertools import product
 import numpy as np
 
 from simfoundry.geometry.frames import Array
-from simfoundry.lint.lints import Lint, Subject
-from simfoundry.lint.report import MOST, Path_, warning, where
+from simfoundry.lint.lints import MOST, Lint, Path_, Subject, warning, where
 from simfoundry.scene.model import Camera
 from simfoundry.spec.diagnostics import Diagnostic
 
@@ -69,5 +68,19 @@ def half_angle(camera: Camera) -> float:
     return math.degrees(math.atan(math.hypot(across, down)))
 
 
-SCENE_LINT = Lint("SF409", ("scene/1",), unseen)
-TASK_LINT = Lint("SF409", ("task/1",), unseen_at_start)
+OUT_OF_VIEW = Lint("SF409", ("scene/1",), unseen)
+START_OUT_OF_VIEW = Lint("SF409", ("task/1",), unseen_at_start)
+
+
+HINT = "add the file, or remove its name from the mesh; the surface is rendered without a texture"
+
+
+def lost_textures(subject: Subject) -> Iterator[Diagnostic]:
+    """Find textures of meshes that are missing or cannot be read."""
+    from simfoundry.assets.textures import document_faults
+
+    for path, wrong in document_faults(subject.loaded, subject.loaded.spec):  # type: ignore[arg-type]
+        yield warning(subject.loaded, "SF412", path, wrong, HINT)
+
+
+LOST_TEXTURE = Lint("SF412", ("scene/1", "asset/1"), lost_textures)

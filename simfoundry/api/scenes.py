@@ -1,13 +1,16 @@
-"""Scenes edited in place, and operations on them: check, lower, compile, open, judge."""
+"""Scenes edited in place, and operations on them: load or import, check, lower, compile, open, judge."""
 
 from __future__ import annotations
 
+import tempfile
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models import base, place, robot, scene
 
 if TYPE_CHECKING:
@@ -230,3 +233,49 @@ class SceneDocument(EditableDocument):
         lowered = self.lower()
         asked: object = condition if condition is not None else {"all": tuple(self.relations)}
         return Judge(lowered)(asked, SceneState.initial(lowered) if state is None else state)
+
+
+IMPORTED = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
+"""File suffixes that frontends read."""
+
+
+def load(path: str | Path) -> SceneDocument:
+    """Load a scene: a document, or a USD, MJCF or URDF file, which is imported.
+
+    Raises :class:`SpecError` with every finding if the document has errors.
+    """
+    path = Path(path)
+    return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
+
+
+def is_compiled_stage(path: Path) -> bool:
+    """Return whether a file is a stage that was compiled from a document, which is stored in it."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
+        return False
+    from simfoundry.frontends.errors import refusing_faults
+    from simfoundry.frontends.usd.compiled import StageError, carrier
+    from simfoundry.frontends.usd.compiled.stage import open_stage
+
+    try:
+        with refusing_faults(path):
+            return carrier(open_stage(path)) is not None
+    except StageError:
+        return False  # the import reports why it cannot be read
+
+
+def _imported(path: Path) -> SceneDocument:
+    from simfoundry.frontends.importer import import_file
+
+    if is_compiled_stage(path):
+        document = SceneDocument.load(path)
+        document.mark_imported(path)
+        return document
+    if not path.is_file():
+        raise SimfoundryError(f"there is no file {path}")
+    folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
+    report = import_file(path, Path(folder.name) / f"{path.stem}.scene.yaml")
+    assert report.out is not None
+    document = SceneDocument.load(report.out)
+    document.mark_imported(path, Path(folder.name) / f"{path.stem}_files")
+    weakref.finalize(document, folder.cleanup)
+    return document

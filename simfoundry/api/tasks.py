@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryMapping, ValueField
-from simfoundry.api.scene_document import Origin, SceneDocument, Text, Values
+from simfoundry.api.scenes import Origin, SceneDocument, Text, Values
 from simfoundry.spec.models import task
 
 Goal = ValueField[Any, str | Values]
@@ -48,3 +49,8 @@ class TaskDocument(EditableDocument):
     def load_scene(self) -> SceneDocument:
         """Load the scene that the task is for."""
         return SceneDocument.load(self._checked().file(self.scene))
+
+
+def load_task(path: str | Path) -> TaskDocument:
+    """Load a task document; raises :class:`SpecError` with every finding if it has errors."""
+    return TaskDocument.load(path)

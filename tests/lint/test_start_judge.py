@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.lint.certainty import StartJudge
+from simfoundry.lint.draft import StartJudge
 from simfoundry.spec.models.expressions import parse_call
 from simfoundry.spec.models.predicate import PREDICATES
 from tests.lint.scenes import BOWL, draft, found, written
