@@ -104,7 +104,7 @@ def import_command(
 
 
 def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
-    from simfoundry.frontends.usd.compiled import import_stage
+    from simfoundry.frontends.usd.compiled.loading import import_stage
 
     before = out.read_bytes() if out.is_file() else None
     imported = import_stage(path, out, onto, force)
@@ -149,7 +149,7 @@ def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportRep
     """Return the report on one file of many; an error in one file does not stop the others."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
     from simfoundry.frontends.importer import ImportReport, import_file
-    from simfoundry.frontends.usd.compiled import import_stage
+    from simfoundry.frontends.usd.compiled.loading import import_stage
 
     try:
         if not is_compiled_stage(source):

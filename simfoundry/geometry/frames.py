@@ -53,6 +53,11 @@ class Pose:
         p = matrix[:3, 3] if matrix.shape == (4, 4) else np.zeros(3)
         return cls.of(p, quat_from_matrix(matrix[:3, :3]))
 
+    @classmethod
+    def about(cls, axis: Array, angle: float) -> Pose:
+        """Build a rotation by ``angle`` [rad] about a unit axis, shape (3,)."""
+        return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
+
     @property
     def matrix(self) -> Array:
         """The homogeneous matrix, shape (4, 4)."""
@@ -85,6 +90,10 @@ class Pose:
     def apply(self, points: Array) -> Array:
         """Map points from B to A, shape (..., 3)."""
         return np.asarray(points) @ self.rotation.T + self.p
+
+    def angle_about(self, axis: Array) -> float:
+        """The angle [rad] of the part of the rotation that is about a unit axis, shape (3,), in [-pi, pi]."""
+        return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
         """The angle between the two rotations [rad], in [0, pi]."""

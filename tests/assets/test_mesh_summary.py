@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets import mesh_summary as module
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MAX_BYTES, MeshError
@@ -53,7 +53,7 @@ def scene(folder: Path, mesh: str, fields: str) -> Path:
 def test_a_check_finds_what_lowering_finds(
     mesh: str, fields: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
+    monkeypatch.setattr(convex, "FUNCTION", COARSE)
     path = scene(tmp_path, mesh, fields)
     try:
         lower(load(path))

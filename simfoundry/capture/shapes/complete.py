@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
-from simfoundry.assets.lathe import ring_faces
+from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR

@@ -248,7 +248,7 @@ def no_room(
     text += f"{found.tried:,} tries, {found.standing:,} on `{support.name}`"
     if axis is not None:
         text += f", {found.allowed:,} where asked, none free at a gap of {axis.gap[0]:g} to {axis.gap[1]:g} m"
-    return Reason("no_room", text, MappingProxyType(numbers))
+    return Reason("no_room", text, numbers)
 
 
 def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ...]) -> tuple[float, float] | None:

@@ -13,8 +13,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from simfoundry.assets import mass
-from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.mesh import open_edges, weld
+from simfoundry.assets.solids import checked_profile
 from simfoundry.cousins.objects.appearance import change_material, color_of, recolor
 from simfoundry.cousins.objects.components import Kind, components
 from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, stretched, taper

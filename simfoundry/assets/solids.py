@@ -1,4 +1,4 @@
-"""Solids of revolution: a profile rotated about z, as one closed mesh and as convex parts."""
+"""Solids of a profile: rotated about z (lathes) or extruded along z (prisms), as a closed mesh and as convex parts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.deviation import face_planes
-from simfoundry.assets.errors import profile_misses_axis, profile_off_axis, shape_crosses_itself
+from simfoundry.assets.errors import MeshError, shape_crosses_itself
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 SIDES = 48
-"""Sides of the mesh that is shown; the radius between two of them is short by 0.2 %. The mass is that of the body."""
+"""Sides of the visual mesh: between two of them the radius is 0.2 % too small. The mass is that of the exact body."""
 
 SECTORS = 16
-"""Sectors of a ring that is split into convex parts; inside a ring they stand proud by at most 2 % of its radius."""
+"""Sectors of a ring that is split into convex parts; they protrude into it by at most 2 % of its radius."""
 
 LEAST_SIDES, MOST_SIDES = 12, 24
-"""Sides of a part that reaches the axis; its middle is short by 3.4 % of the radius with 12, by 0.9 % with 24."""
+"""Sides of a part that reaches the axis; between two of them the radius is 3.4 % (12) or 0.9 % (24) too small."""
 
 _SIDE_COUNTS = (*range(LEAST_SIDES, MOST_SIDES + 1), SECTORS)
 
@@ -38,16 +38,16 @@ MOST_CORNERS = 64
 
 
 def checked_profile(profile: Array) -> Array:
-    """The profile [m], shape (n, 2), of (radius, height), from the top down outside; raises :class:`MeshError`.
+    """Return a profile [m] of (radius, height), shape (n, 2), ordered from the top down along the outside.
 
-    It starts and ends on the axis and crosses neither itself nor the axis.
+    Raises :class:`MeshError` unless it starts and ends on the axis and crosses neither itself nor the axis.
     """
     from shapely.geometry import Polygon
 
     if profile[0, 0] != 0 or profile[-1, 0] != 0:
-        raise profile_misses_axis()
+        raise MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
     if (profile[1:-1, 0] <= 0).any():
-        raise profile_off_axis()
+        raise MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
     polygon = Polygon(profile)
     if not polygon.is_valid or polygon.area < 1e-8:
         raise shape_crosses_itself("profile")
@@ -64,7 +64,7 @@ def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
 
 
 def ring_faces(rings: int, sides: int) -> Faces:
-    """Outward faces over an apex, ``rings`` of ``sides`` vertices from the top down, and a second apex.
+    """Return outward faces over an apex, ``rings`` of ``sides`` vertices from the top down, and a second apex.
 
     The rings run counter-clockwise seen from above; the vertices are numbered in this order.
     """
@@ -92,8 +92,8 @@ def lathe_parts(profile: Array) -> list[Array]:
 def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
     """Return the greatest distance [m] of the hulls of :func:`lathe_parts` from the body of revolution.
 
-    It is sampled, and finds the greatest distance to within some percent. Where a hull stands out of the body is
-    measured at its corners, edges and faces; where the body stands out of all hulls, on its own surface.
+    It is sampled, and accurate to a few percent: at the corners, edges and faces of the hulls where they protrude from
+    the body, and on the surface of the body where it protrudes from all hulls.
     """
     from shapely import Polygon, distance, points
 
@@ -104,13 +104,11 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
         samples = np.concatenate([corners, (a + b) / 2, (b + c) / 2, (a + c) / 2, (a + b + c) / 3])
         radius = np.hypot(samples[:, 0], samples[:, 1])
         proud = max(proud, float(distance(points(radius, samples[:, 2]), body).max()))
-    # Of a part with n sides the middle of a side lies at 180 deg / n. A part of too many corners lost some, anywhere.
+    # The middle of a side is at 180 deg / n; the corners that a simplified part lost can be at any angle.
     angles = np.array([*(math.pi / n for n in _SIDE_COUNTS), *np.linspace(0, 2 * math.pi, 96, endpoint=False)])
     edges = np.concatenate([a + np.linspace(0, 1, 9)[:, None] * (b - a) for a, b in pairwise(profile)])
-    surface = np.concatenate(
-        [np.column_stack([edges[:, :1] * [math.cos(t), math.sin(t)], edges[:, 1]]) for t in angles]
-    )
-    # What is no farther outside of some part than the parts stand proud changes nothing: nearly all, seen from nearby.
+    surface = _rotated(edges, angles)
+    # Points that are no farther outside of some part than `proud` do not change the result: nearly all of them.
     planes = [face_planes(corners, faces) for corners, faces in parts]
     for (corners, _), (normal, offset) in zip(parts, planes, strict=True):
         near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
@@ -139,7 +137,7 @@ def _bands(profile: Array) -> list[Polygon]:
 
 
 def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
-    """Pairs of bands that touch along a line and stay nearly convex together, with their union."""
+    """Yield pairs of bands that touch along a line and are nearly convex together, with their union."""
     for first, second in combinations(range(len(bands)), 2):
         if bands[first].intersection(bands[second]).length > 1e-6:
             union = bands[first].union(bands[second])
@@ -161,7 +159,7 @@ def _fits(union: Any) -> bool:
 
 
 def _convex_of_revolution(corners: Array) -> bool:
-    """Return whether a band that reaches the axis is convex as a body: as a polygon joined with its mirror image."""
+    """Return True if a band that reaches the axis is nearly convex when it is joined with its mirror image."""
     from shapely.geometry import Polygon
 
     mirrored = Polygon(corners).union(Polygon(corners * [-1.0, 1.0]))
@@ -173,9 +171,9 @@ def _nearly_convex(polygon: Polygon) -> bool:
 
 
 def _turned(band: Array) -> list[Array]:
-    """The convex parts of one band, each as its corner points [m], shape (k, 3)."""
+    """Return the convex parts of one band, each as its corner points [m], shape (k, 3)."""
     if (band[:, 0] < 1e-9).any() and _convex_of_revolution(band):
-        on_axis = int((band[:, 0] < 1e-9).sum())  # turned about the axis each stays one corner
+        on_axis = int((band[:, 0] < 1e-9).sum())  # each of these stays one corner
         sides = max(LEAST_SIDES, min(MOST_SIDES, (MOST_CORNERS - on_axis) // max(1, len(band) - on_axis)))
         angles = np.arange(sides, dtype=np.float64) * (2 * math.pi / sides)
         return [_swept(band, angles)]
@@ -184,6 +182,99 @@ def _turned(band: Array) -> list[Array]:
 
 
 def _swept(band: Array, angles: Array) -> Array:
-    x, y = np.cos(angles)[:, None] * band[:, 0], np.sin(angles)[:, None] * band[:, 0]
-    points = np.stack([x, y, np.broadcast_to(band[:, 1], x.shape)], axis=-1).reshape(-1, 3)
-    return np.unique(np.round(points, 9), axis=0)
+    return np.unique(np.round(_rotated(band, angles), 9), axis=0)
+
+
+def _rotated(profile: Array, angles: Array) -> Array:
+    """Return the points of a profile at k angles [rad] about the axis, shape (k n, 3)."""
+    x, y = np.cos(angles)[:, None] * profile[:, 0], np.sin(angles)[:, None] * profile[:, 0]
+    return np.stack([x, y, np.broadcast_to(profile[:, 1], x.shape)], axis=-1).reshape(-1, 3)
+
+
+def checked_outline(outline: Array) -> Array:
+    """Return an outline [m], shape (n, 2), counter-clockwise and without superfluous corners.
+
+    Raises :class:`MeshError` if it crosses itself or has no area.
+    """
+    from shapely.geometry import Polygon
+
+    polygon = Polygon(outline)
+    if not polygon.is_valid or polygon.area < 1e-8:
+        raise shape_crosses_itself("outline")
+    return _without_straights(outline if polygon.exterior.is_ccw else outline[::-1])
+
+
+def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
+    """Return vertices and faces of the closed prism over a counter-clockwise outline, centerd in height."""
+    n = len(outline)
+    low = np.column_stack([outline, np.full(n, -height / 2)])
+    high = np.column_stack([outline, np.full(n, height / 2)])
+    caps = _triangles(outline)
+    k = np.arange(n)
+    following = (k + 1) % n
+    sides = np.concatenate([np.column_stack([k, following, following + n]), np.column_stack([k, following + n, k + n])])
+    return np.concatenate([low, high]), np.concatenate([caps[:, ::-1], caps + n, sides]).astype(np.int32)
+
+
+def convex_outlines(outline: Array) -> list[Array]:
+    """Return convex polygons that tile a counter-clockwise outline: triangles, merged as long as they stay convex.
+
+    One pass over the edges suffices (Hertel and Mehlhorn 1983).
+    """
+    polygons = {k: [int(v) for v in t] for k, t in enumerate(_triangles(outline))}
+    owner = {(p[i - 1], p[i]): k for k, p in polygons.items() for i in range(3)}
+    for start, end in sorted(edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner):
+        kept, gone = owner[start, end], owner[end, start]
+        union = _joined(polygons[kept], polygons[gone], start, end)
+        if _is_convex(outline[union]):
+            moved = polygons[gone]
+            owner |= {(moved[i - 1], moved[i]): kept for i in range(len(moved))}
+            polygons[kept] = union
+            del polygons[gone]
+    return [_without_straights(outline[p]) for p in polygons.values()]
+
+
+def _triangles(outline: Array) -> Faces:
+    """Return counter-clockwise triangles that tile an outline, shape (n - 2, 3)."""
+    import mapbox_earcut
+
+    rings = np.array([len(outline)], dtype=np.uint32)
+    found = mapbox_earcut.triangulate_float64(np.array(outline, order="C"), rings)
+    triangles = np.array(found, dtype=np.int32).reshape(-1, 3)
+    a, b, c = (outline[triangles[:, k]] for k in range(3))
+    clockwise = _cross(b - a, c - a) < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    return triangles
+
+
+def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
+    """Return the union of two counter-clockwise polygons that share the edge from ``start`` to ``end`` in ``a``."""
+    i, j = a.index(end), b.index(start)
+    around_a = a[i:] + a[:i]  # from the end of the edge to its start
+    around_b = b[j:] + b[:j]  # from the start of the edge to its end
+    return around_a + around_b[1:-1]
+
+
+def _without_straights(points: Array) -> Array:
+    """Return a polygon without repeated corners and corners on a straight line, which would give flat triangles."""
+    corners = [p for k, p in enumerate(points) if not np.array_equal(p, points[k - 1])]
+    k = 0
+    while k < len(corners) and len(corners) > 3:
+        before, here, after = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+        (ax, ay), (bx, by) = here - before, after - here
+        if abs(ax * by - ay * bx) <= 1e-12 * (abs(ax) + abs(ay)) * (abs(bx) + abs(by)):
+            del corners[k]
+            k = max(0, k - 1)
+        else:
+            k += 1
+    return np.array(corners)
+
+
+def _is_convex(points: Array) -> bool:
+    edges = np.roll(points, -1, axis=0) - points
+    return bool((_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all())
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the z component of the cross products of plane vectors, shape (n, 2)."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -1,4 +1,4 @@
-"""Read UsdPhysics joints: frames in both bodies, type, limits, drives, damping and friction, in SI units."""
+"""Read UsdPhysics joints and masses of a USD stage, in SI units."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import DriveDraft, JointDraft, ModelDraft
+from simfoundry.frontends.draft import UNLIMITED_SLIDE_M, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.urdf.reader import UNLIMITED_SLIDE_M
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density
+from simfoundry.frontends.usd.geoms import UsdGprims
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.spec.models.asset import DriveSpec
 
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 
@@ -112,11 +114,11 @@ class _JointReader:
                 schema = physics.SphericalJoint(prim)
                 cones = (schema.GetConeAngle0LimitAttr().Get(), schema.GetConeAngle1LimitAttr().Get())
                 if any(c is not None and 0 <= c < 180 for c in cones):
-                    self.draft.dropped(f"cone limit of {self.label}", "the language has no word for it")
+                    self.draft.inexpressible(f"cone limit of {self.label}")
             case "PhysicsJoint":
                 self.six_axes()
             case _:
-                self.draft.dropped(f"motion of {self.label}", f"the language has no {kind}; it is fixed")
+                self.draft.dropped(f"motion of {self.label}", f"the scene language has no {kind}; it is fixed")
 
     def limit(self, turns: bool, low: float | None, high: float | None) -> None:
         """Set the type and limits of a joint with one axis."""
@@ -155,12 +157,14 @@ class _JointReader:
             self.draft.dropped(f"drive of {self.label}", "it gives accelerations, and drives here give forces")
             return
         factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
-        joint.drive = DriveDraft(max(0.0, stiffness) * factor, max(0.0, damping) * factor)
         limit, target = drive.GetMaxForceAttr().Get(), drive.GetTargetPositionAttr()
-        if limit is not None and 0 < limit < INFINITE:
-            joint.drive.force_limit = float(limit) * force
-        if target.HasAuthoredValue() and stiffness > 0:
-            joint.drive.target = float(target.Get()) * (math.radians(1.0) if turns else to_m)
+        has_target = target.HasAuthoredValue() and stiffness > 0
+        joint.drive = DriveSpec(
+            stiffness=max(0.0, stiffness) * factor,
+            damping=max(0.0, damping) * factor,
+            target=float(target.Get()) * (math.radians(1.0) if turns else to_m) if has_target else None,
+            force_limit=float(limit) * force if limit is not None and 0 < limit < INFINITE else None,
+        )
 
     def six_axes(self) -> None:
         """Convert a joint with individually locked axes: fixed, one axis, ball, or free; others are recorded."""
@@ -190,3 +194,67 @@ def _first(prim: Any, names: tuple[str, ...]) -> float:
     """Return the first positive value of some attributes; 0 if there is none."""
     values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
     return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)
+
+
+NOISE = 1e-9
+"""Products of inertia below this fraction of the trace are noise of rotated axes in single precision."""
+
+
+@dataclass
+class UsdBody:
+    """Rigid body of the stage.
+
+    ``X_WB`` is its frame in the world and ``scale`` the scale of its units [m per unit]; ``X_BL`` is the link frame in
+    the body frame, which a joint may change.
+    """
+
+    prim: Any
+    X_WB: Pose
+    scale: Array
+    link: LinkDraft
+    X_BL: Pose = IDENTITY
+
+
+def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
+    """Set mass properties in the precedence of UsdPhysics: body mass, body density, collider masses and materials.
+
+    Units are the same as in ``geoms``.
+    """
+    physics, link, to_m, to_kg = pxr.UsdPhysics, body.link, geoms.to_m, geoms.to_kg
+    api = physics.MassAPI(body.prim)
+    mass, density = api.GetMassAttr().Get(), api.GetDensityAttr().Get()
+    masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]
+    densities = {geoms.surface(p)[1] for p in colliders}
+    if mass and mass > 0:
+        link.mass = float(mass) * to_kg
+        _add_inertia(body, api, to_kg * to_m**2)
+    elif density and density > 0:
+        link.density = float(density) * to_kg / to_m**3
+    elif masses and len(masses) == len(colliders):
+        link.mass = math.fsum(masses) * to_kg
+        if len(masses) > 1:
+            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is spread by volume")
+    elif len(densities) == 1 and None not in densities:
+        link.density = densities.pop()
+    elif link.colliders:
+        assume_density(draft, link, f"{WATER_DENSITY:g} kg/m^3, as UsdPhysics takes it")
+    else:
+        link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
+        draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")
+
+
+def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
+    """Set the center of mass and inertia of a body, in the link frame, if the stage specifies them."""
+    link, X_LB = body.link, body.X_BL.inverse()
+    com = api.GetCenterOfMassAttr().Get()
+    is_given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)
+    if is_given:
+        link.com = X_LB.apply(np.array(com, dtype=np.float64) * body.scale)
+    diagonal = np.array(api.GetDiagonalInertiaAttr().Get() or (0, 0, 0), dtype=np.float64)
+    if not diagonal.any():
+        return
+    R_LI = (X_LB @ attribute_pose(body.prim, None, api.GetPrincipalAxesAttr().Get())).rotation
+    inertia = R_LI @ np.diag(diagonal * unit) @ R_LI.T
+    link.inertia = np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
+    if not is_given:
+        link.com = X_LB.p.copy()
