@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.losses import Loss, approximate
+from simfoundry.backends.features import Loss, approximate
 from simfoundry.scene.inertia import effective_inertias
 from simfoundry.scene.model import Drive, Scene, SceneObject
 from simfoundry.scene.trees import trees
