@@ -34,7 +34,7 @@ VERSION = "mesh facts 2"
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
-"""Moments of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+"""Moments of a solid: x, y and z of its center of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 
@@ -46,7 +46,7 @@ class MeshFacts:
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
     only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at most 64
     corners and the triangles ``hull_faces``, and none where the mesh is flat. ``moments`` and ``hull_moments`` are
-    the centres of mass and the inertias about them, of density 1.
+    the centers of mass and the inertias about them, of density 1.
     """
 
     size: float

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import os
+import pty
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -124,3 +125,29 @@ def absent(*names: str) -> str:
 def without(*names: str) -> str:
     """A program that is ``simfoundry`` where the packages ``names`` are not installed."""
     return absent(*names) + MAIN
+
+
+def terminal(*args: str, **env: str) -> str:
+    """What a command shows on a terminal of 80 columns, as it is sent there."""
+    ours, theirs = pty.openpty()
+    plain = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR", "CI")}
+    process = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *args],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        env={**plain, "PYTHONPATH": str(REPOSITORY), "TERM": "xterm-256color", "COLUMNS": "80", **env},
+    )
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            part = os.read(ours, 65536)
+        except OSError:  # Linux says so when the other end is closed
+            break
+        if not part:
+            break
+        shown += part
+    os.close(ours)
+    process.wait()
+    return shown.decode().replace("\r\n", "\n")

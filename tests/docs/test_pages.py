@@ -25,7 +25,7 @@ TESTS = sorted((REPOSITORY / "tests").rglob("test_*.py"))
 RUN_HERE = ("README.md", "index.md", "python.md")
 RUN_ELSEWHERE = {
     "tutorial.md": "tests/test_tutorial.py",
-    "findings.md": "tests/spec/test_explain.py",
+    "findings.md": "tests/spec/check/test_explain.py",
     "reference.md": "tests/test_repository.py",
 }
 """Pages all of whose blocks a test of their own runs."""

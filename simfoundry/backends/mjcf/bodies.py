@@ -10,9 +10,9 @@ from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClas
 from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_bytes
 from simfoundry.scene.model import Background, Collider, Drive, Joint, JointType, Link, Scene, SceneObject, Visual
-from simfoundry.scene.trees import Tree, trees
 
 _JOINT_TYPES = {
     JointType.REVOLUTE: "hinge",

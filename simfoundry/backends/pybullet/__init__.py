@@ -26,10 +26,9 @@ from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.backends.urdf import manifests
 from simfoundry.backends.urdf.elements import Dialect, background_urdf, urdf_files, whole
 from simfoundry.geometry.frames import Array, frozen_array
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
+from simfoundry.scene.kinematics import Tree, contact_pairs, trees
 from simfoundry.scene.model import Camera, Joint, JointType, Light, LightType, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs
-from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
 """Time step [s]: half of Bullet's default and equal to the other targets, so that behaviors are comparable."""
@@ -48,7 +47,7 @@ _GRIPS = {
 }
 _MOTORS = {
     False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
-    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as discs.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
 }
 """The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
@@ -184,7 +183,7 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
     Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
     contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
-    would press with a hundredth of their motor's force. A rotor is added as a thin disc, with half its inertia about
+    would press with a hundredth of their motor's force. A rotor is added as a thin disk, with half its inertia about
     the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
     rotors = {
@@ -234,8 +233,8 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     main = main_light(lights)
     if main is None:
         return lighting | {"lightDiffuseCoeff": 0.0}
-    towards = main.X_WL.rotation[:, 2] if main.type is LightType.DISTANT else main.X_WL.p
-    color = {"lightDirection": rounded_list(towards), "lightColor": rounded_list(main.rgb)}
+    toward = main.X_WL.rotation[:, 2] if main.type is LightType.DISTANT else main.X_WL.p
+    color = {"lightDirection": rounded_list(toward), "lightColor": rounded_list(main.rgb)}
     return lighting | color | {"lightDiffuseCoeff": rounded(main.intensity)}
 
 

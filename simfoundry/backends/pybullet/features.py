@@ -17,7 +17,7 @@ FEATURES = read_cells(Path(__file__).parent)
 
 _LIGHTS = {
     LightType.DISTANT: "PyBullet shades surfaces with its own model: brightness differs, and shadows are soft.",
-    LightType.POINT: "PyBullet replaces it with parallel rays from its position towards the origin.",
+    LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
     LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
 }
 

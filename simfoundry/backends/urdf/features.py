@@ -7,8 +7,8 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.features import Loss, approximate, drop, read_cells, splat_losses, variant_losses
+from simfoundry.scene.kinematics import contact_pairs
 from simfoundry.scene.model import JointType, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs
 
 FEATURES = read_cells(Path(__file__).parent)
 

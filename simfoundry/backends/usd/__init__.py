@@ -16,7 +16,7 @@ from simfoundry.backends.usd.shapes import MESHES, mesh_layer, texture_of, textu
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.surroundings import SPLAT, define_background, define_camera, define_light, splat_layer
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
 
 _LOADER = shipped("targets/usd") / "load.py"

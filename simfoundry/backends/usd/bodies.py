@@ -13,10 +13,8 @@ from simfoundry.backends.usd.prims import Prim, quat, settled, vec3
 from simfoundry.backends.usd.shapes import contact_material, define_geometry, define_visual
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import Tree, contact_pairs, excluded_link_pairs, link_poses, trees
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
-from simfoundry.scene.trees import Tree, trees
 
 DEFAULT = "default"
 """The name of the variant that represents the object as written in its document."""

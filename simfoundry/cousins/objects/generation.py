@@ -28,8 +28,7 @@ from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.models.images import ImageEditor, images_from_environment
-from simfoundry.models.meshes import MeshMaker, meshes_from_environment
+from simfoundry.models.generators import ImageEditor, MeshMaker, images_from_environment, meshes_from_environment
 from simfoundry.models.vlm import Vlm
 from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import install_line

@@ -29,7 +29,7 @@ from simfoundry.cousins.objects.parts import (
     with_rod,
 )
 from simfoundry.geometry.frames import Array
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.geometry.frames import Array
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import (
     BoxShape,

@@ -402,6 +402,6 @@ STYLES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("fruit", "apple", "banana", "grapes"), ("streaks", "speckles", "a gradient")),
     (("bamboo", "wood", "board"), ("wood grain", "planks", "wood grain", "bands")),
     (("carton",), ("print", "tape", "stripes", "wood grain")),
-    (("steel", "aluminium", "enamel"), ("a painted rim", "a dipped foot", "bands", "speckles", "dots", "checks")),
+    (("steel", "aluminum", "enamel"), ("a painted rim", "a dipped foot", "bands", "speckles", "dots", "checks")),
 )
 """Patterns by words in the material or category; :data:`DECORATION` is the default."""

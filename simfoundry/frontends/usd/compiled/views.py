@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
-from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
-from simfoundry.frontends.usd.compiled.stage import StageMember
-from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
+from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -55,7 +54,7 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, with `look_at` if the image is upright.
 
-    The target point has the same distance as in the previous text, or one metre.
+    The target point has the same distance as in the previous text, or one meter.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -68,7 +67,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """Return an edited light: intensity, colour, and position or direction."""
+    """Return an edited light: intensity, color, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
