@@ -20,7 +20,7 @@ from simfoundry.assets.convex import (
     unpack_colliders,
 )
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
-from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, read_parts, weld
+from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
@@ -53,10 +53,7 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
-    vertices, faces = weld(vertices, faces)
+    vertices, faces = weld(*merged(pieces))
     solid = None
     if use.solid != "given":
         solid, faces = _solid(path.name, vertices, faces, use.solid)
