@@ -14,8 +14,7 @@ from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreem
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Geometry
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Geometry, tessellate
 
 MIN_POINTS = 12  # points: twice the parameters of a box
 FEW_POINTS = 50  # points: fewer do not tell a curved side from noise

@@ -18,7 +18,7 @@ from simfoundry.capture.shapes.evidence import (
 )
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.tessellate import revolved
+from simfoundry.geometry.shapes import revolved
 
 LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls
 WALL = 0.004  # [m] wall of a container: crockery has 3 to 6 mm
