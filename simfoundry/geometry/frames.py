@@ -65,7 +65,7 @@ class Pose:
         """The rotation matrix, shape (3, 3)."""
         return frozen_array(matrix_from_quat(self.q))
 
-    @property
+    @cached_property
     def is_identity(self) -> bool:
         """True for exactly the identity."""
         return self is IDENTITY or (not any(self.p.tolist()) and bool(self.q[0] == 1.0))

@@ -62,6 +62,9 @@ def rotations(q: Array) -> Array:
     return out
 
 
+_UNTURNED = np.eye(3)
+
+
 class Turn:
     """Rotations about one unit axis, shape (3,)."""
 
@@ -73,4 +76,4 @@ class Turn:
     def by(self, angle: Array) -> Array:
         """Return the rotation matrices for angles [rad], (n,), shape (n, 3, 3)."""
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-        return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)
+        return np.asarray(_UNTURNED + s * self._skew + (1 - c) * self._square)
