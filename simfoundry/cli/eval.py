@@ -158,17 +158,17 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.statistics.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, by_title, cells
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
     table = Table(box=None, pad_edge=False)
     for title in ("task", *policies):
         table.add_column(title, no_wrap=True)
-    for name, here in titles(found).items():
+    for name, here in by_title(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
         for step in (
-            () if len(titles(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+            () if len(by_title(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
         ):
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             table.add_row(
@@ -184,7 +184,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     from rich.table import Table
 
     from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
-    from simfoundry.evaluate.statistics.results import pool_rows, pools
+    from simfoundry.evaluate.statistics.results import by_title, pools
 
     found = pools(records)
     if found:
@@ -192,7 +192,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
         table = Table(box=None, pad_edge=False)
         for title in ("together", *policies):
             table.add_column(title, overflow="fold")
-        for name, here in pool_rows(found).items():
+        for name, here in by_title(found).items():
             tasks = max(len(pool.counts) for pool in here.values())
             table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
             if not all(pool.is_balanced for pool in here.values()):
