@@ -13,8 +13,8 @@ from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import SceneObject
-from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.model import Mimic, SceneObject
+from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 
 Write = Callable[[SceneObject], Mapping[str, bytes]]
@@ -45,7 +45,7 @@ class RobotUrdf:
     efforts: Mapping[str, float]
     joints: Mapping[str, str]
     gripper: Mapping[str, tuple[float, float]]
-    follow: Mapping[str, Follow]
+    follow: Mapping[str, Mimic]
     servos: Mapping[str, tuple[float, float]]
     frames: Mapping[str, LinkFrame]
     item: SceneObject | None
@@ -92,12 +92,12 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
     )
 
 
-def _mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Follow]]:
+def _mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Mimic]]:
     for joint in joints:
         mimic = joint.find("mimic")
         if mimic is not None:
             numbers = (float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0")))
-            yield str(joint.get("name")), Follow(str(mimic.get("joint")), *numbers)
+            yield str(joint.get("name")), Mimic(str(mimic.get("joint")), *numbers)
 
 
 def _effort(joint: ET.Element) -> float:
@@ -139,11 +139,7 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
         efforts={j.name: j.drive.force_limit or _STRONG for j in made.item.joints if j.drive is not None},
         joints={name: made.joints[joint] for name, joint in arm.items()},
         gripper={made.joints[name]: pair for name, pair in gripper.items()},
-        follow={
-            j.name: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
-            for j in made.item.joints
-            if j.mimic is not None
-        },
+        follow={j.name: j.mimic for j in made.item.joints if j.mimic is not None},
         servos={
             j.name: (j.drive.stiffness, j.drive.damping + j.damping)
             for j in made.item.joints

@@ -135,7 +135,7 @@ def judged(
 def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
     """Propose a task from a model's answer; return a refused proposal if no document can be made of it."""
     setting = proposed.setting
-    name = free_name(told.task_name, proposed.names)
+    name = free_name(told.task_name, {accepted.name for accepted in proposed.accepted})
     goal, wrong = goal_of(told)
     said = goal_words(goal)
     if wrong:
