@@ -92,7 +92,8 @@ def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) 
             continue
         told = words(found)
         if entry is None:
-            entries.append(MemberChange("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
+            verbs = (*told, "along with the object that its place refers to")
+            entries.append(MemberChange("objects", item.name, "", ("moved",), verbs, ()))
         else:
             marks = ("moved", *entry.marks)
             entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))

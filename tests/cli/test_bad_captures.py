@@ -68,7 +68,7 @@ BAD = {
     "not UTF-8": (_not_utf8, "SF001", ":2:7", ""),
     "a scene": (_a_scene, "SF006", ":1:1", "expected a `capture/1` document"),
     "a folder": (_a_folder, "SF203", ":5:12", "there is no file"),
-    "elsewhere": (_elsewhere, "SF204", ":5:12", "leaves the project"),
+    "elsewhere": (_elsewhere, "SF204", ":5:12", "is outside the project"),
     "name": (_name, "SF106", ":2:7", "My Desk!"),
     "channels": (_three_channels, "SF501", ":7:14", "3 channels"),
     "cut": (_cut, "SF501", ":5:12", "cannot be read"),

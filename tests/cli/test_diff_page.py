@@ -99,7 +99,7 @@ def test_the_page_shows_what_moves_along(repository: Repository) -> None:
         "b.scene.yaml", STACK.replace("0.2, 0.2, 0.1]", "0.2, 0.2, 0.13]").replace("[0.3, 0]", "[0.34, 0]")
     )
     page = _page(repository, "a.scene.yaml", "b.scene.yaml")
-    assert "pot moved 5.0 cm (+x 4.0, +z 3.0), with what its place names" in page.text
+    assert "pot moved 5.0 cm (+x 4.0, +z 3.0), along with the object that its place refers to" in page.text
     assert "2 moved, 1 changed" in page.text
     tags = [
         attrs["class"] or "" for tag, attrs in page.elements if tag == "span" and "tag" in (attrs.get("class") or "")
@@ -165,7 +165,7 @@ def test_a_side_that_cannot_be_shown_says_why(repository: Repository) -> None:
     assert "SF203" in page.text
     repository.write("table.scene.yaml", "objects: [")
     page = _page(repository)
-    assert len(page.pictures()) == 1 and "cannot be compared: nothing is sound in table.scene.yaml" in page.text
+    assert len(page.pictures()) == 1 and "cannot be compared: no part of table.scene.yaml is valid" in page.text
 
 
 def test_documents_of_other_kinds_have_no_pictures(repository: Repository) -> None:

@@ -134,8 +134,8 @@ def action(**parts: Any) -> bytes:
         (action(joint_position=np.zeros((2, 15, 7))), "`joint_position` is of shape (2, 15, 7)"),
         (action(gripper_position=np.zeros((1, 14, 1))), "15 steps for the joints but 14 for the gripper"),
         (action(gripper_position=np.zeros((1, 15, 1), bool)), "an array of `bool`"),
-        (action(joint_position=np.full((1, 15, 7), np.nan)), "`nan` in action 0"),
-        (action(joint_position=np.zeros((1, 15, 6))), "7 numbers per action, but the robots take 8"),
+        (action(joint_position=np.full((1, 15, 7), np.nan)), "number 0 of action 0 is nan"),
+        (action(joint_position=np.zeros((1, 15, 6))), "for 7 joints and the gripper of `arm`; got (15, 7)"),
     ],
 )
 def test_an_answer_that_is_none_is_told_and_recorded(answer: bytes, words: str) -> None:

@@ -118,10 +118,10 @@ GOOD_ANSWER = OPENPI_CODEC.pack({"actions": CHUNK})
         (OPENPI_CODEC.pack([1, 2]), "has no `actions`: a `list`"),
         (OPENPI_CODEC.pack({"action": CHUNK}), "has no `actions`: action"),
         (OPENPI_CODEC.pack({"actions": CHUNK.tolist()}), "a `list`, not with an array"),
-        (OPENPI_CODEC.pack({"actions": CHUNK[:, :7]}), "7 numbers per action"),
+        (OPENPI_CODEC.pack({"actions": CHUNK[:, :7]}), "got (15, 7)"),
         (
             OPENPI_CODEC.pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}),
-            "`nan` in action 2, number 3",
+            "number 3 of action 2 is nan",
         ),
         (
             msgpack.packb({"actions": {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1, 8]}}),

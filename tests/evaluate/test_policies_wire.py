@@ -17,8 +17,8 @@ from hypothesis.extra import numpy as arrays
 
 from simfoundry.evaluate.policies.base import ImageSize, PolicyError
 from simfoundry.evaluate.policies.codec import GROOT_CODEC, OPENPI_CODEC, CodecError
-from simfoundry.evaluate.policies.remote import actions_of, pictures, reading, resize_with_pad, roll_pitch_yaw
-from simfoundry.geometry.frames import Pose
+from simfoundry.evaluate.policies.remote import actions_of, pictures, reading, resize_with_pad
+from simfoundry.geometry.frames import Pose, rpy_from_quat
 from tests.evaluate.drive import JOINTS, observation, spec_of
 
 DTYPES = st.sampled_from(["|u1", "<f4", ">f4", "<f8", "<i8", "<u2", "|b1", "<f2"]).map(np.dtype)
@@ -183,15 +183,15 @@ def broken(step: int, column: int, value: float) -> np.ndarray[Any, Any]:
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (CHUNK[0], "an array of (8), not of (steps, 8)"),
-        (CHUNK[None], "an array of (1, 15, 8), not of (steps, 8)"),
-        (CHUNK[:, :7], "7 numbers per action, but the robots take 8: 7 joints and a gripper of `arm`"),
-        (np.zeros((15, 32)), "32 numbers per action"),
+        (CHUNK[0], "must have shape (horizon, 8), for 7 joints and the gripper of `arm`; got (8,)"),
+        (CHUNK[None], "got (1, 15, 8)"),
+        (CHUNK[:, :7], "got (15, 7)"),
+        (np.zeros((15, 32)), "got (15, 32)"),
         (CHUNK[:5], "5 actions, but its `horizon` is 8; lower it to 5"),
-        (CHUNK[:0], "0 actions, but its `horizon` is 8"),
-        (broken(3, 2, np.nan), "`nan` in action 3, number 2"),
-        (broken(0, 7, np.inf), "`inf` in action 0, number 7"),
-        (broken(14, 1, -np.inf), "`-inf` in action 14"),
+        (CHUNK[:0], "got (0, 8)"),
+        (broken(3, 2, np.nan), "must be finite; number 2 of action 3 is nan"),
+        (broken(0, 7, np.inf), "number 7 of action 0 is inf"),
+        (broken(14, 1, -np.inf), "number 1 of action 14 is -inf"),
         (CHUNK.astype(bool), "an array of `bool`"),
         (CHUNK.astype("U8"), "an array of `<U8`"),
         (CHUNK.tolist(), "a `list`, not with an array"),
@@ -202,7 +202,7 @@ def broken(step: int, column: int, value: float) -> np.ndarray[Any, Any]:
 def test_an_answer_that_is_no_chunk_is_told(answer: Any, words: str) -> None:
     with pytest.raises(PolicyError) as raised:
         actions_of(spec_of("openpi", "a"), answer, observation().robots)
-    assert words in str(raised.value) and str(raised.value).startswith("tested answered with")
+    assert words in str(raised.value) and "tested" in str(raised.value)
 
 
 def test_a_missing_picture_is_told_and_no_other_is_taken() -> None:
@@ -232,7 +232,7 @@ def turned(roll: float, pitch: float, yaw: float) -> Any:
 @pytest.mark.parametrize("angles", [(0.3, -0.7, 2.1), (-3.0, 1.5, 0.2), (0.4, np.pi / 2, 0.0), (0.4, -np.pi / 2, 0.9)])
 def test_roll_pitch_yaw_turn_back(angles: tuple[float, float, float]) -> None:
     rotation = turned(*angles)
-    np.testing.assert_allclose(turned(*roll_pitch_yaw(Pose.from_matrix(rotation))), rotation, atol=1e-7)
+    np.testing.assert_allclose(turned(*rpy_from_quat(Pose.from_matrix(rotation).q)), rotation, atol=1e-7)
 
 
 CHECKER = np.indices((45, 80)).sum(axis=0) % 7 * 40

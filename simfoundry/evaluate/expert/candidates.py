@@ -13,10 +13,10 @@ from itertools import islice
 import numpy as np
 
 from simfoundry.geometry.crossings import HalfSpaces, Span, bounds, crossings, met
-from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.vertical_contact import heights
-from simfoundry.geometry.walls import DIRECTIONS, WALLED, hollow
+from simfoundry.geometry.walls import LEVEL_RAYS, WALLED, hollow
 from simfoundry.robots.arm import Jaws
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, SceneObject
@@ -69,16 +69,8 @@ class Grasp:
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
     """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] toward eight sides."""
-    found = []
-    for tilt in tilts:
-        for side in range(8 if tilt else 1):
-            angle = side * math.pi / 4
-            found.append(_tilted(tilt, angle))
-    return found
-
-
-def _tilted(tilt: float, angle: float) -> Array:
-    return np.array([math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), -math.cos(tilt)])
+    angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
+    return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 
 
 def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
@@ -138,7 +130,7 @@ def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterato
                 for depth in ((first + tip) / 2, tip - TIP):
                     shallow = 0.15 if depth > (first + tip) / 2 else 0.0
                     cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
-                    yield Grasp(_pose(R_WH, middle - R_WH[:, 2] * depth), span.width, opened, cost)
+                    yield Grasp(Pose.of(middle - R_WH[:, 2] * depth, quat_from_matrix(R_WH)), span.width, opened, cost)
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
@@ -168,12 +160,6 @@ def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
             near = (max(abs(other.start - span.start), abs(other.end - span.end)) for other in spans[k][m])
             alike += min(near, default=math.inf) < ALIKE
     return alike / len(around)
-
-
-def _pose(R_WH: Array, p: Array) -> Pose:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R_WH, p
-    return Pose.from_matrix(matrix)
 
 
 TURNS = 8
@@ -208,21 +194,51 @@ class PlaceAt:
     cost: float
 
 
-@dataclass(frozen=True, eq=False)
 class _Target:
-    """A support: an object, or its link with index ``link``, among the other movable ones.
+    """A support: an object, or one of its links, among the other movable ones."""
 
-    ``part`` is the supporting geometry, up to the height ``top`` [m]; ``walls`` are its collision parts.
-    """
+    def __init__(self, scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> None:
+        owner, _, link = target.partition(".")
+        item = object_at(scene.object(owner), state)
+        self._whole, self._inside = hulls(item), inside
+        self._link = [each.name for each in item.links].index(link) if link else None
+        self._part = self._whole if self._link is None else self._whole.of_link(self._link)
+        self._R_WC = (item.X_WO @ link_poses(item)[link] if link else item.X_WO).rotation
+        self._top = self._part.extent(UP)[1]
+        self._walls = solid(item, state, [link] if link else None)
+        others = (o for o in scene.objects if o.name not in (name, owner) and not o.fixed)
+        self._others = [hulls(object_at(o, state)) for o in others]
 
-    whole: Hulls
-    link: int | None
-    part: Hulls
-    X_WC: Pose
-    top: float
-    walls: HalfSpaces
-    others: tuple[Hulls, ...]
-    inside: bool
+    def spots(self) -> list[tuple[Array, float]]:
+        """Positions in the plane [m] over it, from its center outward, and their distances from the center."""
+        middle = self._part.middle(self._R_WC)
+        if self._inside:
+            middle = hollow(self._part, middle, self._R_WC)
+        axes = self._R_WC[:, :2]
+        half = [(high - low) / 2 for low, high in (self._part.extent(axes[:, k]) for k in range(2))]
+        rows, columns = (np.linspace(-0.8, 0.8, _odd(1.6 * h / GRID_SPACING)) * h for h in half)
+        spots = [((middle + axes @ np.array([a, b]))[:2], math.hypot(a, b)) for a in rows for b in columns]
+        return sorted(spots, key=lambda s: s[1])
+
+    def place(self, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
+        """Lower an object at a position; None if it first meets another object, or is not inside as required."""
+        at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
+        held = shape.moved(at)
+        touching = heights(held, self._whole)
+        lift = float(touching.max())
+        first = self._whole.link[np.unravel_index(int(touching.argmax()), touching.shape)[1]]
+        if not math.isfinite(lift) or (self._link is not None and first != self._link):
+            return None
+        foot = lift + shape.extent(UP)[0]
+        if self._inside and not (foot < self._top - SUNK and self._walled(np.array([*spot, foot]))):
+            return None
+        if any(float(heights(held, other).max()) > lift for other in self._others):
+            return None
+        return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
+
+    def _walled(self, foot: Array) -> bool:
+        """Return whether a point at an object's foot has walls on most sides, there or slightly higher."""
+        return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
@@ -230,33 +246,14 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 
     First in its present orientation at the center of the free area; a long object also on end.
     """
-    item, carrier = scene.object(name), _target(scene, state, name, target, inside)
-    spots = _spots(carrier)
+    item, support = scene.object(name), _Target(scene, state, name, target, inside)
+    spots = support.spots()
     lying = [(turn, 0.0) for turn in _turned(state.poses[name])]
-    found = _central([p for place in _tried(item, lying, spots) if (p := _placed(carrier, *place)) is not None])
+    found = _central([p for place in _tried(item, lying, spots) if (p := support.place(*place)) is not None])
     if inside:
         on_end = _tried(item, list(_on_end(item, state)), spots)[:LOOKED_AT]
-        found += islice((p for place in on_end if (p := _placed(carrier, *place)) is not None), ENOUGH)
+        found += islice((p for place in on_end if (p := support.place(*place)) is not None), ENOUGH)
     return sorted(found, key=lambda p: p.cost)
-
-
-def _target(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> _Target:
-    owner, _, link = target.partition(".")
-    item = object_at(scene.object(owner), state)
-    whole = hulls(item)
-    number = [each.name for each in item.links].index(link) if link else None
-    part = whole if number is None else whole.of_link(number)
-    others = (o for o in scene.objects if o.name not in (name, owner) and not o.fixed)
-    return _Target(
-        whole=whole,
-        link=number,
-        part=part,
-        X_WC=item.X_WO @ link_poses(item)[link] if link else item.X_WO,
-        top=part.extent(UP)[1],
-        walls=solid(item, state, [link] if link else None),
-        others=tuple(hulls(object_at(o, state)) for o in others),
-        inside=inside,
-    )
 
 
 def _tried(
@@ -266,21 +263,6 @@ def _tried(
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
-
-
-def _placed(target: _Target, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
-    """Lower an object at a position; None if it first meets another object, or is not inside as required."""
-    at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
-    held = shape.moved(at)
-    lift = _rest(held, target.whole, target.link)
-    if lift is None:
-        return None
-    foot = lift + shape.extent(UP)[0]
-    if target.inside and not (foot < target.top - SUNK and _walled(target.walls, np.array([*spot, foot]))):
-        return None
-    if any(float(heights(held, other).max()) > lift for other in target.others):
-        return None
-    return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
 
 
 def _central(found: list[PlaceAt]) -> list[PlaceAt]:
@@ -293,26 +275,6 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
     off = [float(np.linalg.norm(place.X_WO.p[:2] - middle)) for place in found]
     central = [PlaceAt(place.X_WO, FAR * distance) for place, distance in zip(found, off, strict=True)]
     return sorted(central, key=lambda place: place.cost)[:ENOUGH]
-
-
-def _walled(walls: HalfSpaces, foot: Array) -> bool:
-    """Return whether a point at an object's foot has walls on most sides, there or slightly higher."""
-    angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
-    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
-    return any(met(walls, foot + height * UP, rays).sum() >= WALLED for height in (0.001, 0.01, 0.02))
-
-
-def _spots(target: _Target) -> list[tuple[Array, float]]:
-    """Positions in the plane [m] over a target, from its center outward, and their distances from the center."""
-    part, R_WC = target.part, target.X_WC.rotation
-    middle = part.middle(R_WC)
-    if target.inside:
-        middle = hollow(part, middle, R_WC)
-    axes = R_WC[:, :2]
-    half = [(high - low) / 2 for low, high in (part.extent(axes[:, k]) for k in range(2))]
-    rows, columns = (np.linspace(-0.8, 0.8, _odd(1.6 * h / GRID_SPACING)) * h for h in half)
-    spots = [((middle + axes @ np.array([a, b]))[:2], math.hypot(a, b)) for a in rows for b in columns]
-    return sorted(spots, key=lambda s: s[1])
 
 
 def _odd(count: float) -> int:
@@ -353,14 +315,3 @@ def _long_axis(item: SceneObject) -> int | None:
     size = shape.size()
     axis = int(size.argmax())
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None
-
-
-def _rest(held: Hulls, whole: Hulls, link: int | None) -> float | None:
-    """Height by which an object that rests on the target is lifted [m]; None if it meets another part first."""
-    touching = heights(held, whole)
-    lift = float(touching.max())
-    if not math.isfinite(lift):
-        return None
-    if link is not None and whole.link[np.unravel_index(int(touching.argmax()), touching.shape)[1]] != link:
-        return None
-    return lift

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation, PolicyError
-from simfoundry.evaluate.policies.codec import GROOT_CODEC, CodecError
+from simfoundry.evaluate.policies.codec import GROOT_CODEC
 from simfoundry.evaluate.policies.remote import (
     PolicyRecord,
     RemotePolicy,
+    ServerConnection,
     droid_cameras,
+    last_line,
     needed,
     pictures,
     reading,
-    secret,
 )
-from simfoundry.evaluate.policies.websocket import last_line
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec, address_uri
+from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 MANY = 64
 """Upper limit of keys and steps, above those of any known policy."""
@@ -69,19 +69,19 @@ PING_S = 5.0
 """Timeout for the answer to a ping [s]."""
 
 
-class Requests:
+class Requests(ServerConnection):
     """A REQ socket, which is replaced after a missing answer, because it cannot be used any more.
 
     ZeroMQ connects in the background and does not report missing servers: a short ``ping`` before a rollout detects
-    them.
+    them. A message goes in each direction.
     """
 
+    codec = GROOT_CODEC
+
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
-        self.spec, self.record = spec, record
-        self.uri = address_uri(spec.protocol, spec.address)
+        super().__init__(spec, record)
         self._socket: Any = None
         self._monitor: Any = None
-        self._answered = False
 
     def begin(self) -> None:
         """Verify that the server is there; raises :class:`PolicyError` after ``spec.retries`` further attempts."""
@@ -93,20 +93,15 @@ class Requests:
             fresh = True
             if left:
                 self.record.reconnects += 1
-        tried = f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
-        raise self.fail(f"no server answers at {self.uri}{tried}")
+        raise self.fail(f"no server answers at {self.uri}{self.retried}")
 
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
         """Return the answer of an endpoint; raises :class:`PolicyError`.
 
         A query is never repeated, because the server's rollout state would then differ from the actual rollout.
         """
-        start = time.monotonic()
-        self.record.questions += 1
-        try:
-            return self._sound(self._exchange(endpoint, data, self._patience()))
-        finally:
-            self.record.seconds.append(time.monotonic() - start)
+        with self.timed():
+            return self._sound(self._exchange(endpoint, data, self.patience))
 
     def close(self) -> None:
         """Close the socket; unsent messages are dropped."""
@@ -115,14 +110,6 @@ class Requests:
             socket.disable_monitor()
             self._monitor.close(linger=0)
             socket.close(linger=0)
-
-    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """Return an error to raise, after adding it to the record."""
-        self.record.failed(message)
-        return kind(message)
-
-    def _patience(self) -> float:
-        return self.spec.timeout if self._answered else self.spec.warm_up
 
     def _ping(self) -> bool:
         try:
@@ -134,10 +121,7 @@ class Requests:
     def _sound(self, data: bytes) -> Any:
         if data == b"ERROR":
             raise self.fail(f"the server at {self.uri} failed without giving a reason", InvalidAnswerError)
-        try:
-            answer = GROOT_CODEC.unpack(data)
-        except CodecError as error:
-            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
+        answer = self.unpacked(data)
         if isinstance(answer, dict) and "error" in answer:
             reason = last_line(str(answer["error"]))
             raise self.fail(f"the server at {self.uri} failed: {reason}", InvalidAnswerError)
@@ -145,17 +129,13 @@ class Requests:
 
     def _exchange(self, endpoint: str, data: Mapping[str, Any] | None, patience: float) -> bytes:
         zmq = needed("zmq", "the protocol of groot")
-        needed("msgpack", "the protocol of groot")
         request: dict[str, Any] = {"endpoint": endpoint}
         if data is not None:
             request["data"] = data
-        key = secret(self.spec)
+        key = self.secret()
         if key is not None:
             request["api_token"] = key
-        try:
-            packed = GROOT_CODEC.pack(request)
-        except CodecError as error:
-            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
+        packed = self.packed(request)
         socket = self._opened(zmq)
         try:
             while self._monitor.poll(0):  # lost since the last query, and reconnected by ZeroMQ itself
@@ -169,11 +149,11 @@ class Requests:
             self.close()
             if endpoint == "ping":
                 raise TimeoutError from None
-            raise self.fail(self._silence(patience)) from None
+            raise self.silent(patience) from None
         except zmq.ZMQError as error:
             self.close()
             raise self.fail(f"the connection to {self.uri} was lost ({str(error).lower()})") from None
-        self._answered = self._answered or endpoint == "get_action"
+        self.answered = self.answered or endpoint == "get_action"
         return answer
 
     def _wait(self, zmq: Any, socket: Any, patience: float, is_ping: bool) -> None:
@@ -192,13 +172,9 @@ class Requests:
                 raise self.fail(f"the server at {self.uri} closed the connection: it has stopped, or {large}")
         raise zmq.Again
 
-    def _silence(self, patience: float) -> str:
-        waits = "`timeout`" if self._answered else "`warm_up`"
-        return f"{self.uri} did not answer within {patience:g} s; raise {waits} if it needs more"
-
     def _opened(self, zmq: Any) -> Any:
         if self._socket is None:
-            self._answered = False
+            self.answered = False
             socket = zmq.Context.instance().socket(zmq.REQ)
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.MAXMSGSIZE, LARGEST)

@@ -5,14 +5,19 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
+from simfoundry.evaluate.policies.base import (
+    ActionSpace,
+    InvalidAnswerError,
+    Observation,
+    Policy,
+    PolicyError,
+    action_size,
+)
 from simfoundry.geometry.frames import Array
 
 STEP = 0.1
@@ -21,14 +26,13 @@ HORIZON = 8
 """Number of actions per query, as for the paper's policies."""
 
 
-class RandomPolicy:
+class RandomPolicy(Policy):
     """A random walk of the joints from their present positions, with steps up to ``STEP``; the gripper toggles
     occasionally.
     """
 
     name = "random"
     action_space = ActionSpace.JOINT_POSITION
-    cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0)
@@ -46,18 +50,13 @@ class RandomPolicy:
             columns.append(np.full((HORIZON, 1), float(self._rng.integers(2))))
         return np.concatenate(columns, axis=1) if columns else np.zeros((HORIZON, 0))
 
-    def close(self) -> None:
-        """Do nothing: there are no resources to release."""
-
 
 LARGEST = 256 * 2**20
 """Maximum size of a recording [bytes]."""
 
 
-class ReplayPolicy:
+class ReplayPolicy(Policy):
     """Recorded actions in order, after which the last one is held. Every rollout starts with the first."""
-
-    cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def __init__(self, actions: Array, action_space: ActionSpace = ActionSpace.JOINT_POSITION, name: str = "replay"):
         self.name, self.action_space = name, action_space
@@ -69,7 +68,7 @@ class ReplayPolicy:
 
     def infer(self, observation: Observation) -> Array:
         """Return all actions at once, then the last one repeatedly, shape (steps, numbers of an action)."""
-        width = sum(len(robot.joints) + 1 for robot in observation.robots.values())
+        width = action_size(observation.robots)
         if self._actions.shape[1] != width:
             recorded = self._actions.shape[1]
             raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots take {width}")
@@ -81,9 +80,6 @@ class ReplayPolicy:
                 at += len(robot.joints) + 1
         self._played = True
         return chunk
-
-    def close(self) -> None:
-        """Do nothing: there are no resources to release."""
 
 
 def load_replay(path: Path) -> ReplayPolicy:
@@ -113,9 +109,13 @@ def _read(path: Path) -> tuple[Array, str]:
     default = str(ActionSpace.JOINT_POSITION)
     match path.suffix.lower():
         case ".npy":
-            return _numbers(_mapped(path)), default
+            # Memory-mapping verifies the size in the header without allocating it.
+            return _numbers(np.lib.format.open_memmap(path, mode="r")), default
         case ".npz":
-            _expansion(path)
+            with zipfile.ZipFile(path) as files:
+                total = math.fsum(file.file_size for file in files.infolist())
+            if total > LARGEST:
+                raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
             with np.load(path, allow_pickle=False) as stored:
                 space = str(stored["action_space"]) if "action_space" in stored else default
                 return _numbers(stored["actions"]), space
@@ -125,20 +125,6 @@ def _read(path: Path) -> tuple[Array, str]:
             space = found.get("action_space", default) if isinstance(found, dict) else default
             return _numbers(np.array(actions)), str(space)
     raise ValueError("the name of a recording must end with .npy, .npz or .json")
-
-
-def _mapped(path: Path) -> np.ndarray[Any, Any]:
-    """Memory-map the array of a file, which verifies the size in its header without allocating it."""
-    stored: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r")
-    return stored
-
-
-def _expansion(path: Path) -> None:
-    """Raise an error if a compressed file would unpack to more than the size limit."""
-    with zipfile.ZipFile(path) as files:
-        total = math.fsum(file.file_size for file in files.infolist())
-    if total > LARGEST:
-        raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
 
 
 def _numbers(array: np.ndarray[Any, Any]) -> Array:

@@ -24,8 +24,11 @@ DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observa
 class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
-    Queries are independent, so after a lost connection the client reconnects and repeats the query.
+    Queries are independent, so after a lost connection the client reconnects and repeats the query. ``state_keys`` are
+    the keys of the robot's state unless its document states them.
     """
+
+    state_keys: Mapping[str, str] = DROID_STATE
 
     def __init__(self, spec: PolicySpec) -> None:
         super().__init__(spec)
@@ -37,14 +40,16 @@ class OpenpiPolicy(RemotePolicy):
 
     def ask(self, observation: Observation) -> object:
         """Return the ``actions`` of the answer."""
-        seen = pictures(self.spec, observation)
-        told = state(self.spec, DROID_STATE, observation)
-        answer = self._connection.ask({**seen, **told, "prompt": self._instruction})
+        answer = self._connection.ask(self._message(observation))
         if not isinstance(answer, dict) or "actions" not in answer:
             keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
             message = f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}"
             raise self._connection.fail(message, InvalidAnswerError)
         return answer["actions"]
+
+    def _message(self, observation: Observation) -> dict[str, Any]:
+        seen, told = pictures(self.spec, observation), state(self.spec, self.state_keys, observation)
+        return {**seen, **told, "prompt": self._instruction}
 
     def close(self) -> None:
         """Hang up."""
@@ -67,24 +72,20 @@ OPENPI = PolicyProtocol(
 
 RESET_DONE = "reset successful"
 """Text by which a server confirms that it has reset its rollout state."""
-ROBOARENA_STATE = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
-"""State keys of RoboArena's policies."""
 
 
-def _session() -> str:
-    return str(uuid.uuid4())
-
-
-class RoboarenaPolicy(RemotePolicy):
+class RoboarenaPolicy(OpenpiPolicy):
     """A client of RoboArena's ``WebsocketPolicyServer``, also used by DreamZero.
 
-    The server keeps a state during a rollout, so a rollout fails if its connection is lost; the next one connects
-    again. ``new_session`` creates a name for each rollout: the server resets its state for each new name.
+    The server keeps a state during a rollout, so a rollout whose connection is lost has no result and counts as
+    missing; the next one connects again. ``new_session`` creates a name for each rollout: the server resets its state
+    for each new name.
     """
 
-    def __init__(self, spec: PolicySpec, new_session: Callable[[], str] = _session) -> None:
+    state_keys = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
+
+    def __init__(self, spec: PolicySpec, new_session: Callable[[], object] = uuid.uuid4) -> None:
         super().__init__(spec)
-        self._connection = Connection(spec, self.record)
         self._new_session, self._session = new_session, ""
 
     def begin(self) -> None:
@@ -95,20 +96,14 @@ class RoboarenaPolicy(RemotePolicy):
             self.close()
             both = f"{self._connection.uri} and the document of {self.spec.name}"
             raise self._connection.fail(f"{both} disagree: {wrong}")
-        self._session = self._new_session()
+        self._session = str(self._new_session())
         self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
 
     def ask(self, observation: Observation) -> object:
         """Return the answer, or its ``actions`` entry: servers use either form."""
-        seen = pictures(self.spec, observation)
-        told = state(self.spec, ROBOARENA_STATE, observation)
-        about = {"prompt": self._instruction, "session_id": self._session, "endpoint": "infer"}
-        answer = self._connection.ask({**seen, **told, **about}, again=False)
+        about = {"session_id": self._session, "endpoint": "infer"}
+        answer = self._connection.ask(self._message(observation) | about, again=False)
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
-
-    def close(self) -> None:
-        """Hang up."""
-        self._connection.close()
 
 
 def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:

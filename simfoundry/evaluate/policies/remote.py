@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,12 +20,15 @@ from simfoundry.evaluate.policies.base import (
     ImageSize,
     InvalidAnswerError,
     Observation,
+    Policy,
     PolicyError,
     RobotReading,
+    checked_actions,
 )
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.evaluate.policies.codec import Codec, CodecError
+from simfoundry.geometry.frames import Array, rpy_from_quat
 from simfoundry.runtime.extras import install_line
-from simfoundry.spec.models.policy import GripperConvention, PolicySpec
+from simfoundry.spec.models.policy import GripperConvention, PolicySpec, address_uri
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
@@ -62,12 +67,8 @@ class PolicyRecord:
     def to_json(self) -> Mapping[str, Any]:
         """Return numbers and messages for a report; times as median and maximum [s]."""
         ordered = sorted(self.seconds)
-        return {
-            "questions": self.questions,
-            "connections": self.connections,
-            "reconnects": self.reconnects,
-            "failures": self.failures,
-            "errors": list(self.errors),
+        counts = {key: value for key, value in asdict(self).items() if key != "seconds"}
+        return counts | {
             "median_s": ordered[len(ordered) // 2] if ordered else None,
             "longest_s": ordered[-1] if ordered else None,
         }
@@ -102,37 +103,23 @@ def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
 
 def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
     """Return one sensor quantity of all robots in order as an array; see ``state`` of a policy document."""
-    rows = []
+    rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
-        match what:
-            case "joints":
-                rows.append(np.asarray(robot.joints, dtype=np.float64))
-            case "gripper":
-                rows.append(np.array([closed]))
-            case "joints_gripper":
-                rows.append(np.append(robot.joints, closed))
-            case "hand":
-                rows.append(np.concatenate([robot.X_BH.p, roll_pitch_yaw(robot.X_BH)]))
-            case _:
-                raise KeyError(what)
-    return np.concatenate(rows) if rows else np.zeros(0)
+        known = {
+            "joints": robot.joints,
+            "gripper": [closed],
+            "joints_gripper": [*robot.joints, closed],
+            "hand": [*robot.X_BH.p, *rpy_from_quat(robot.X_BH.q)],
+        }
+        rows.append(known[what])
+    return np.concatenate(rows)
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
     """Return the robots' state under the policy's keys, float32 as in DROID's recordings."""
     wanted = default if spec.state is None else spec.state
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
-
-
-def roll_pitch_yaw(pose: Pose) -> Array:
-    """Rotation as angles about the fixed axes x, y, z [rad]: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    r = pose.rotation
-    level = math.hypot(r[0, 0], r[1, 0])
-    pitch = math.atan2(-r[2, 0], level)
-    if level < 1e-9:  # gimbal lock: the whole rotation counts as roll
-        return np.array([math.atan2(-r[1, 2], r[1, 1]), pitch, 0.0])
-    return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
 
 
 DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
@@ -167,14 +154,19 @@ def resize_with_pad(image: Image, size: ImageSize) -> Image:
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
-    """Return the first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
+    """Return the first ``horizon`` actions of an answer, which is untrusted, shape (horizon, numbers of an action).
 
     Joints are in rad, m, rad/s or m/s; grippers from 0 open to 1 closed. Raises :class:`InvalidAnswerError` if the
     answer is not such an array.
     """
-    width = sum(len(robot.joints) + 1 for robot in robots.values())
-    chunk = _checked(spec, answer, width, _words(robots))
-    out = np.array(chunk[: spec.horizon], dtype=np.float64)
+    if not isinstance(answer, np.ndarray):
+        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+    if answer.dtype.kind not in "fiu":
+        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+    out = checked_actions(answer, robots, f"the actions of {spec.name}")[: spec.horizon]
+    if len(out) < spec.horizon:
+        message = f"{spec.name} answered with {len(out)} actions, but its `horizon` is {spec.horizon}"
+        raise InvalidAnswerError(f"{message}; lower it to {len(out)}")
     at = 0
     for robot in robots.values():
         joints = slice(at, at + len(robot.joints))
@@ -192,75 +184,103 @@ def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
     return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
 
 
-def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
-    if not isinstance(answer, np.ndarray):
-        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
-    if answer.dtype.kind not in "fiu":
-        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
-    if answer.ndim != 2:
-        raise InvalidAnswerError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
-    if answer.shape[1] != width:
-        message = f"{spec.name} answered with {answer.shape[1]} numbers per action, but the robots take {width}"
-        raise InvalidAnswerError(f"{message}: {words}")
-    if len(answer) < spec.horizon:
-        message = f"{spec.name} answered with {len(answer)} actions, but its `horizon` is {spec.horizon}"
-        raise InvalidAnswerError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
-    wrong = np.argwhere(~np.isfinite(answer))
-    if len(wrong):
-        step, column = (int(v) for v in wrong[0])
-        raise InvalidAnswerError(
-            f"{spec.name} answered with `{answer[step, column]}` in action {step}, number {column}"
-        )
-    return answer
+class ServerConnection(ABC):
+    """A connection to a policy server, with the parts that all protocols share."""
+
+    codec: ClassVar[Codec]
+
+    def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
+        self.spec, self.record = spec, record
+        self.uri = address_uri(spec.protocol, spec.address)
+        self.answered = False  # true once a query is answered, because the server has warmed up then
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Start a rollout, connecting if necessary; raises :class:`PolicyError`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Hang up."""
+
+    @property
+    def patience(self) -> float:
+        """Timeout of the next answer [s]."""
+        return self.spec.timeout if self.answered else self.spec.warm_up
+
+    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
+        """Return an error to raise, after adding it to the record."""
+        self.record.failed(message)
+        return kind(message)
+
+    def silent(self, patience: float) -> PolicyError:
+        """Return the error of a server that did not answer within ``patience`` [s]."""
+        waits = "`timeout`" if self.answered else "`warm_up`"
+        return self.fail(f"{self.uri} did not answer within {patience:g} s; raise {waits} if it needs more")
+
+    @property
+    def retried(self) -> str:
+        """End of a message about a server that was tried again, empty without retries."""
+        return f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
+
+    def packed(self, message: Mapping[str, Any]) -> bytes:
+        """Serialize a query."""
+        needed("msgpack", f"the protocol of {self.spec.protocol}")
+        try:
+            return self.codec.pack(message)
+        except CodecError as error:
+            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
+
+    def unpacked(self, data: bytes) -> Any:
+        """Parse an answer, which is untrusted."""
+        try:
+            return self.codec.unpack(data)
+        except CodecError as error:
+            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        """Count a query, and measure the time until its answer."""
+        start = time.monotonic()
+        self.record.questions += 1
+        try:
+            yield
+        finally:
+            self.record.seconds.append(time.monotonic() - start)
+
+    def secret(self) -> str | None:
+        """Return the key of the server, read from the environment, or None if it needs none."""
+        spec = self.spec
+        if spec.api_key is None:
+            return None
+        key = os.environ.get(spec.api_key, "").strip()
+        if not key:
+            raise PolicyError(f"{spec.name} takes the key of its server from {spec.api_key}, which is not set")
+        if not key.isascii() or not key.isprintable():
+            raise PolicyError(
+                f"the value of {spec.api_key} is not a valid key: it has characters that are not allowed in a header"
+            )
+        return key
 
 
-def _shape(array: np.ndarray[Any, Any]) -> str:
-    return f"({', '.join(map(str, array.shape))})"
+def last_line(text: str, most: int = 300) -> str:
+    """Return the end of a traceback as one printable line."""
+    lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
+    line = lines[-1] if lines else "it gives no reason"
+    return "".join(c if c.isprintable() else "?" for c in line[:most])
 
 
-def _words(robots: Mapping[str, RobotReading]) -> str:
-    return ", ".join(f"{len(robot.joints)} joints and a gripper of `{name}`" for name, robot in robots.items())
-
-
-def secret(spec: PolicySpec) -> str | None:
-    """Return the key for a policy's server, or None if it needs none; raises :class:`PolicyError` if it is not set."""
-    if spec.api_key is None:
-        return None
-    key = os.environ.get(spec.api_key, "").strip()
-    if not key:
-        raise PolicyError(f"{spec.name} takes the key of its server from {spec.api_key}, which is not set")
-    if not key.isascii() or not key.isprintable():
-        raise PolicyError(
-            f"the value of {spec.api_key} is not a valid key: it has characters that are not allowed in a header"
-        )
-    return key
-
-
-class RemotePolicy:
+class RemotePolicy(Policy, ABC):
     """A policy behind a server, configured by its document; ``record`` has the statistics of their exchange.
 
     Subclasses implement the protocol: ``begin`` before a rollout, ``ask`` for an answer, and ``close``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
-        self.spec = spec
+        self.spec, self.name = spec, spec.name
+        self.action_space = ActionSpace(spec.action_space)
+        self.cameras = cameras_of(spec)
         self.record = PolicyRecord()
         self._instruction = ""
-
-    @property
-    def name(self) -> str:
-        """Name in its document."""
-        return self.spec.name
-
-    @property
-    def action_space(self) -> ActionSpace:
-        """Action space in its document."""
-        return ActionSpace(self.spec.action_space)
-
-    @property
-    def cameras(self) -> Mapping[str, ImageSize]:
-        """Cameras of the scene that its document names."""
-        return cameras_of(self.spec)
 
     def reset(self, instruction: str, seed: int) -> None:
         """Start a rollout, connecting if necessary. Randomness in the policy is up to the server."""
@@ -279,14 +299,14 @@ class RemotePolicy:
             self.record.failed(str(error))
             raise
 
+    @abstractmethod
     def begin(self) -> None:
         """Start a rollout."""
-        raise NotImplementedError
 
+    @abstractmethod
     def ask(self, observation: Observation) -> object:
         """Return the server's answer, which should be an array of actions, shape (steps, numbers of an action)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Hang up."""
-        raise NotImplementedError

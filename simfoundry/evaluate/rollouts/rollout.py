@@ -15,13 +15,20 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
+from simfoundry.evaluate.policies.base import (
+    Image,
+    ImageSize,
+    InvalidAnswerError,
+    Observation,
+    Policy,
+    PolicyError,
+    action_size,
+    checked_actions,
+)
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import (
     Controller,
-    action_size,
     check_cameras,
-    checked,
     physics_steps,
     pictures,
     readings,
@@ -273,7 +280,7 @@ class _Run:
         )
         self.chunks += 1
         with self.clock("policy"):
-            return checked(self.policy.infer(observation), self.robots)
+            return checked_actions(self.policy.infer(observation), self.robots)
 
     def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
         """Execute one action; return the reason if the rollout ends."""

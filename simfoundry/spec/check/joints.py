@@ -38,7 +38,7 @@ def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[st
     if pair[0] == pair[1]:
         c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
     elif frozenset(pair) in seen:
-        c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is there already", "remove one")
+        c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is listed twice", "remove one of them")
     seen.add(frozenset(pair))
 
 

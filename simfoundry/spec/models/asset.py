@@ -63,7 +63,8 @@ class Inertial(Model):
     def _of_a_body(self) -> Self:
         if self.inertia is not None and not _is_of_a_body(self.inertia):
             message = (
-                "no body has this inertia: its principal moments must be positive, and none above the sum of the rest"
+                "no body has this inertia: its principal moments must be positive, "
+                "and none may exceed the sum of the other two"
             )
             raise PydanticCustomError("sf104", "{message}", {"message": message, "at": "inertia"})
         return self
@@ -100,7 +101,7 @@ class LinkSpec(BodySpec):
     def _mass(self) -> Self:
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
-            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it", {"at": "inertial"})
+            raise PydanticCustomError("sf107", "`inertial` requires `mass`", {"at": "inertial"})
         if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
             raise PydanticCustomError("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`", {})
         return self
@@ -180,7 +181,7 @@ class JointSpec(Model):
                 message = f"`{name}` belong to {kind} joints, and this one is {self.type}"
                 raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
             if given is not None and given[0] >= given[1]:
-                raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
+                raise PydanticCustomError("sf104", "the lower limit must be less than the upper limit", {"at": name})
         if sum(v * v for v in self.axis) < 1e-12:
             raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
         for name in ("damping", "friction", "armature") if self.type == "free" else ():
