@@ -57,7 +57,7 @@ def rendered(scene: Path, camera: str) -> Image.Image:
 
 
 def small(picture: Image.Image, width: int, margin: float) -> bytes:
-    """The picture without a margin (share of its size) at a width [px]; of 256 colours where it must."""
+    """The picture without a margin (share of its size) at a width [px]; of 256 colors where it must."""
     x, y = margin * picture.width, margin * picture.height
     box = (x, y, picture.width - x, picture.height - y)
     height = round(picture.height * width / picture.width)

@@ -19,7 +19,7 @@ from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ImageSize
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.worlds import open_world
 
 SPECS = Path(__file__).resolve().parent

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from simfoundry.geometry.frames import Pose
+from simfoundry.runtime.files import shipped
 from simfoundry.runtime.plugins import import_file
-from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.verify.readback import WorldReadback, pose_of

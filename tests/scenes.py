@@ -1,5 +1,5 @@
 """Small scenes, built by hand, that exercise every field of :class:`Scene`: rotations and inertias without symmetry,
-centres of mass and colliders away from their frames, joints with limits, damping, friction and non-zero positions."""
+centers of mass and colliders away from their frames, joints with limits, damping, friction and non-zero positions."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def skewed_inertia(a: float, b: float, c: float, *rpy: float) -> Array:
 
 
 def primitive_inertia(shape: Primitive, mass: float) -> Array:
-    """Inertia of a solid primitive about its centre [kg m^2], shape (3, 3)."""
+    """Inertia of a solid primitive about its center [kg m^2], shape (3, 3)."""
     match shape:
         case Box(size=size):
             x, y, z = size
@@ -108,7 +108,7 @@ def solid(
     fixed: bool = False,
     color: Array | None = None,
 ) -> SceneObject:
-    """An object of one link that is one solid primitive, centred on its frame."""
+    """An object of one link that is one solid primitive, centered on its frame."""
     link = Link(
         name="body",
         mass=mass,
@@ -161,7 +161,7 @@ def _part(name: str, shape: Geometry, X_LG: Pose, friction: float) -> tuple[Visu
 
 
 def _cabinet_carcass() -> Link:
-    """The carcass of :func:`cabinet`: 0.40 x 0.50 x 0.60 m, open towards -x, its frame at the middle of its floor."""
+    """The carcass of :func:`cabinet`: 0.40 x 0.50 x 0.60 m, open toward -x, its frame at the middle of its floor."""
     walls = {
         "floor": (box(0.40, 0.50, 0.02), pose(0, 0, 0.01)),
         "roof": (box(0.40, 0.50, 0.02), pose(0, 0, 0.59)),
@@ -213,7 +213,7 @@ def cabinet(fixed: bool = True) -> SceneObject:
 
 
 def fan() -> SceneObject:
-    """A free-standing object with a continuous joint, whose root frame is far from its centre of mass."""
+    """A free-standing object with a continuous joint, whose root frame is far from its center of mass."""
     post = _part("post", Cylinder(0.02, 0.2), pose(0.05, 0.02, 0.1), 0.5)
     blade = _part("blade", box(0.16, 0.02, 0.004), pose(0.01, 0.0, 0.0, 0.3, 0.0, 0.0), 0.5)
     base = Link("base", 0.8, frozen_array([0.05, 0.021, 0.06]), skewed_inertia(0.0031, 0.0034, 0.0012, 0.1, 0.2, 0.3),

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import (
     Camera,
     Collider,
@@ -24,9 +25,8 @@ from simfoundry.scene.model import (
     Visual,
 )
 from simfoundry.scene.robot import Robot
-from simfoundry.scene.touching import excluded_link_pairs
 
-RELATIVE, METRES, RADIANS = 1e-6, 1e-6, 1e-6
+RELATIVE, METERS, RADIANS = 1e-6, 1e-6, 1e-6
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def _object(one: SceneObject, two: SceneObject) -> Iterator[Apart]:
 
 def _link(one: Link, two: Link) -> Iterator[Apart]:
     yield from _close("mass", "mass", one.mass, two.mass)
-    yield from _close("com", "inertia", one.com, two.com, METRES)
+    yield from _close("com", "inertia", one.com, two.com, METERS)
     size = float(np.linalg.norm(one.inertia))
     if float(np.abs(one.inertia - two.inertia).max()) > 10 * RELATIVE * size:
         yield Apart("inertia", "inertia", f"{one.inertia.tolist()} | {two.inertia.tolist()}")
@@ -172,9 +172,9 @@ def _camera(one: Camera, two: Camera) -> Iterator[Apart]:
 def _light(one: Light, two: Light) -> Iterator[Apart]:
     feature = f"{one.type.value}_lights"
     yield from _same("type", feature, one.type, two.type)
-    yield from _close("colour", feature, one.intensity * one.rgb, two.intensity * two.rgb, 1e-4)
+    yield from _close("color", feature, one.intensity * one.rgb, two.intensity * two.rgb, 1e-4)
     if one.type is LightType.POINT:
-        yield from _close("xyz", feature, one.X_WL.p, two.X_WL.p, METRES)
+        yield from _close("xyz", feature, one.X_WL.p, two.X_WL.p, METERS)
     if one.type is LightType.DISTANT:
         yield from _close("direction", feature, one.X_WL.rotation[:, 2], two.X_WL.rotation[:, 2], RADIANS)
 
@@ -206,7 +206,7 @@ def _meshes(path: str, feature: str, one: tuple[Mesh, Pose], two: tuple[Mesh, Po
             yield Apart(path, feature, f"{len(middles[0])} | {len(middles[1])} triangles")
             return
         far = max(float(cKDTree(middles[i]).query(middles[1 - i])[0].max()) for i in (0, 1))
-    if far > METRES:
+    if far > METERS:
         yield Apart(path, feature, f"its surface is {far * 1e3:.3g} mm off")
 
 
@@ -219,7 +219,7 @@ def _outside(points: Array, corners: Array) -> float:
 def _pose(path: str, feature: str, one: Pose, two: Pose) -> Iterator[Apart]:
     moved = float(np.abs(one.p - two.p).max())
     turned = 2 * float(np.sqrt(max(0.0, 1 - min(1.0, abs(float(one.q @ two.q))) ** 2)))
-    if moved > METRES or turned > 10 * RADIANS:
+    if moved > METERS or turned > 10 * RADIANS:
         yield Apart(path, feature, f"{moved * 1e3:.3g} mm and {np.degrees(turned):.3g} deg off")
 
 

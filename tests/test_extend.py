@@ -13,7 +13,7 @@ import pytest
 
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.choice import open_policy, parse_policy
+from simfoundry.evaluate.entries import open_policy, parse_policy
 from simfoundry.spec.models.policy import PolicySpec
 from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.targets.find import find_target, target_names
@@ -115,7 +115,7 @@ def test_compile_and_verify_know_the_target_and_the_backend(scene: Path, tmp_pat
     losses = done.json["losses"]
     assert losses["my_sim"]["features"]["mass"] == {"kept": 2}
     assert "dropped" in losses["bodies"]["features"]["fixed"] and losses["my_sim"]["features"]["fixed"] == {"kept": 1}
-    read = run("verify", scene, "--engine", "my_sim", "--require", "my_sim", "--no-behaviours", "--json")
+    read = run("verify", scene, "--engine", "my_sim", "--require", "my_sim", "--no-behaviors", "--json")
     assert read.code == 0, read.out + read.err
     (reading,) = read.json["readings"]
     assert reading["compared"] >= 10 and reading["mismatches"] == []
@@ -123,7 +123,7 @@ def test_compile_and_verify_know_the_target_and_the_backend(scene: Path, tmp_pat
     build["bodies"]["block"]["mass"] *= 1.001
     (tmp_path / "bodies/bodies.json").write_text(json.dumps(build))
     (tmp_path / "my_sim/bodies.json").write_text(json.dumps(build))
-    false = run("verify", scene, "--engine", "my_sim", "--no-behaviours", "--build", tmp_path, "--json")
+    false = run("verify", scene, "--engine", "my_sim", "--no-behaviors", "--build", tmp_path, "--json")
     assert false.code == 1
     assert [d["quantity"] for d in false.json["readings"][0]["mismatches"]] == ["mass"]
 

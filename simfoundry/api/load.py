@@ -23,8 +23,7 @@ def is_compiled_stage(path: Path) -> bool:
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
     from simfoundry.frontends.errors import refusing_faults
-    from simfoundry.frontends.usd.compiled import StageError, carrier
-    from simfoundry.frontends.usd.compiled.stage import open_stage
+    from simfoundry.frontends.usd.compiled.stage import StageError, carrier, open_stage
 
     try:
         with refusing_faults(path):

@@ -59,7 +59,7 @@ class CameraPoseEntry(DocumentEntry):
 
 
 class MaterialEntry(DocumentEntry):
-    """A material: density [kg/m^3], friction coefficients, restitution and colour."""
+    """A material: density [kg/m^3], friction coefficients, restitution and color."""
 
     _model = base.Material
     density = OptionalNumber()

@@ -11,7 +11,7 @@ Faces = NDArray[np.int32]
 ON_MESH, ON_PARTS = 20_000, 4_000
 """Points that are compared, on the mesh and on the parts: of an object of 20 cm the former are about 1 mm apart."""
 
-NEIGHBOURS = 8
+NEIGHBORS = 8
 """Samples beside a point by whose triangles its distance is bounded."""
 
 TOGETHER = 256
@@ -98,12 +98,12 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
 
     if not len(points):
         return 0.0
-    _, near = cKDTree(samples).query(points, k=NEIGHBOURS)
-    rows = np.repeat(np.arange(len(points)), NEIGHBOURS)
+    _, near = cKDTree(samples).query(points, k=NEIGHBORS)
+    rows = np.repeat(np.arange(len(points)), NEIGHBORS)
     bounds = _least_distances(points, triangles, rows, owner[near].ravel())
-    centres = triangles.mean(axis=1)
-    radii = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
-    tree, widest, greatest = cKDTree(centres), float(radii.max()), 0.0
+    centers = triangles.mean(axis=1)
+    radii = np.linalg.norm(triangles - centers[:, None], axis=2).max(axis=1)
+    tree, widest, greatest = cKDTree(centers), float(radii.max()), 0.0
     order = np.argsort(-bounds, kind="stable")
     for first in range(0, len(order), TOGETHER):
         some = order[first : first + TOGETHER]
@@ -112,7 +112,7 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
         found = tree.query_ball_point(points[some], bounds[some] + widest)
         rows = np.repeat(some, [len(each) for each in found])
         columns = np.concatenate([np.asarray(each, dtype=np.int64) for each in found])
-        reached = np.linalg.norm(points[rows] - centres[columns], axis=1) <= bounds[rows] + radii[columns] + ROUNDING
+        reached = np.linalg.norm(points[rows] - centers[columns], axis=1) <= bounds[rows] + radii[columns] + ROUNDING
         exact = _least_distances(points, triangles, rows[reached], columns[reached])[some]
         greatest = max(greatest, float(exact.max()))
     return greatest

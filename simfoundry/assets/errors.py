@@ -6,13 +6,13 @@ MAX_FACES = 2_000_000
 """Largest number of triangles of a mesh; decomposing more takes many minutes, and no simulator needs them."""
 
 MAX_BYTES = 256 * 2**20
-"""Two million triangles with their pictures fit into this; more would take minutes and the memory of the machine."""
+"""Largest mesh file [bytes]: two million triangles with textures fit; more takes minutes and all memory."""
 
 SMALLEST, LARGEST = 0.001, 20.0
 """Plausible extents of anything on, around or under a table [m]."""
 
 LEAST_VOLUME = 1e-10
-"""Smallest volume of a solid [m^3]: a tenth of a cubic millimetre."""
+"""Smallest volume of a solid [m^3]: a tenth of a cubic millimeter."""
 
 
 class MeshError(Exception):
@@ -27,12 +27,12 @@ def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
     """Return the error for a mesh whose longest side is ``size`` [m] at ``scale``, or None if the size is plausible."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
-        millimetres = SMALLEST < size / 1000 < LARGEST
-        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
+        millimeters = SMALLEST < size / 1000 < LARGEST
+        hint = f"it looks like millimeters: `scale: {0.001 * scale:g}`" if millimeters else "set `scale`"
         return MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
     if size < SMALLEST:
-        hint = "set `scale`, the metres of one unit of the mesh"
-        return MeshError("SF303", f"{shown}, less than a millimetre", hint)
+        hint = "set `scale`, the meters of one unit of the mesh"
+        return MeshError("SF303", f"{shown}, less than a millimeter", hint)
     return None
 
 
@@ -56,16 +56,6 @@ def too_large(name: str, size: int) -> MeshError:
     """Return the error for a file that is too large."""
     most = MAX_BYTES // 2**20
     return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; at most {most} are read", "decimate it first")
-
-
-def profile_misses_axis() -> MeshError:
-    """Return the error for a profile that does not start and end on the axis."""
-    return MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
-
-
-def profile_off_axis() -> MeshError:
-    """Return the error for a profile that touches the axis between its ends."""
-    return MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
 
 
 def shape_crosses_itself(what: str) -> MeshError:

@@ -1,4 +1,4 @@
-"""Volume, centre of mass and inertia of solids of uniform density."""
+"""Volume, center of mass and inertia of solids of uniform density."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 class SolidMoments:
     """Volume moments of a solid with density 1.
 
-    ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the centre of mass, shape (3, 3).
+    ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the center of mass, shape (3, 3).
     """
 
     volume: float
@@ -33,31 +33,31 @@ def _diagonal(xx: float, yy: float, zz: float) -> Array:
 
 
 def box(size: Array) -> SolidMoments:
-    """A box of full extents ``size`` [m], centred."""
+    """A box of full extents ``size`` [m], centered."""
     x, y, z = (float(v) for v in size)
     volume = x * y * z
     return SolidMoments(volume, np.zeros(3), volume / 12 * _diagonal(y * y + z * z, x * x + z * z, x * x + y * y))
 
 
 def sphere(radius: float) -> SolidMoments:
-    """A sphere, centred."""
+    """A sphere, centered."""
     volume = 4 / 3 * math.pi * radius**3
     moment = 0.4 * volume * radius**2
     return SolidMoments(volume, np.zeros(3), _diagonal(moment, moment, moment))
 
 
 def cylinder(radius: float, height: float) -> SolidMoments:
-    """A cylinder along z, centred."""
+    """A cylinder along z, centered."""
     volume = math.pi * radius**2 * height
     across = volume * (3 * radius**2 + height**2) / 12
     return SolidMoments(volume, np.zeros(3), _diagonal(across, across, volume * radius**2 / 2))
 
 
 def capsule(radius: float, height: float) -> SolidMoments:
-    """Return a capsule along z, centred; ``height`` is that of the cylindrical part."""
+    """Return a capsule along z, centered; ``height`` is that of the cylindrical part."""
     tube = cylinder(radius, height)
     caps = 4 / 3 * math.pi * radius**3
-    # Two half spheres; the centre of mass of each lies 3/8 of the radius above its disc.
+    # Two half spheres; the center of mass of each lies 3/8 of the radius above its disk.
     across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
     return SolidMoments(
         tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
@@ -108,8 +108,8 @@ def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
 
 
 def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
-    """Return the combined mass, centre of mass, and inertia about it of parts with densities [kg/m^3]."""
-    if len(parts) == 1:  # its centre is its own, to the last digit
+    """Return the combined mass, center of mass, and inertia about it of parts with densities [kg/m^3]."""
+    if len(parts) == 1:  # its center is its own, to the last digit
         density, solid = parts[0]
         return density * solid.volume, solid.com, density * solid.inertia
     mass = math.fsum(d * s.volume for d, s in parts)  # what `sum` gives differs between versions of Python

@@ -1,4 +1,4 @@
-"""Read mesh files: triangles, colours and textures, validated before further computation."""
+"""Read mesh files: triangles, colors and textures, validated before further computation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -32,7 +32,7 @@ class MeshPart:
     """One geometry of a mesh file.
 
     ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3); ``uv`` shape (n, 2), v up, or None; ``texture`` a PNG
-    or None; ``rgba`` in [0, 1] or None where the file has no colour.
+    or None; ``rgba`` in [0, 1] or None where the file has no color.
     """
 
     vertices: Array
@@ -43,7 +43,7 @@ class MeshPart:
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
-    """Return the geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
+    """Return the geometries of a mesh file in meters, z up (glTF files are y up by their standard and are turned).
 
     Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
     """
@@ -94,19 +94,19 @@ def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> M
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(path.name, mesh)
-    if rgba is not None and y_up:  # glTF writes its colours linear, everything else means sRGB
+    if rgba is not None and y_up:  # glTF writes its colors linear, everything else means sRGB
         rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
     return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
 
 
 def srgb_of_linear(linear: float) -> float:
-    """Return the sRGB value of a linear colour value, both in [0, 1] (IEC 61966-2-1)."""
+    """Return the sRGB value of a linear color value, both in [0, 1] (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
 def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
-    """Texture coordinates, PNG and colour of a trimesh mesh; a texture is multiplied by the colour."""
+    """Texture coordinates, PNG and color of a trimesh mesh; a texture is multiplied by the color."""
     visual = mesh.visual
     if visual.kind == "texture":
         material, uv = visual.material, getattr(visual, "uv", None)
@@ -153,6 +153,13 @@ def _check_numbers(name: str, vertices: Array) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
+
+
+def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
+    """Return the vertices [m], shape (n, 3), and faces, shape (m, 3), of all pieces of a mesh."""
+    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)])
+    return np.concatenate([p.vertices for p in parts]), faces.astype(np.int32)
 
 
 def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:

@@ -34,7 +34,7 @@ VERSION = "mesh facts 2"
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
-"""Moments of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+"""Moments of a solid: x, y and z of its center of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 
@@ -46,7 +46,7 @@ class MeshFacts:
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
     only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at most 64
     corners and the triangles ``hull_faces``, and none where the mesh is flat. ``moments`` and ``hull_moments`` are
-    the centres of mass and the inertias about them, of density 1.
+    the centers of mass and the inertias about them, of density 1.
     """
 
     size: float
@@ -148,16 +148,13 @@ def _read(stored: bytes) -> MeshFacts | None:
 
 def measure(path: Path) -> MeshFacts:
     """Read a mesh file and measure it; raises :class:`MeshError` if it cannot be read."""
-    import numpy as np
 
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
-    from simfoundry.assets.mesh import extent, open_edges, read_parts, weld
+    from simfoundry.assets.mesh import extent, merged, open_edges, read_parts, weld
 
     parts = read_parts(path)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
-    vertices = np.concatenate([p.vertices for p in parts])
-    joined = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
+    vertices, joined = merged(parts)
     vertices, faces = weld(vertices, joined)
     triangles, gaps = len(joined), open_edges(faces)
     own = mass.mesh(vertices, faces) if len(faces) else None

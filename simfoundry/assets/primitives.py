@@ -14,7 +14,7 @@ Kind = Literal["box", "cylinder", "sphere"]
 KINDS: tuple[Kind, ...] = ("box", "cylinder", "sphere")
 
 DIRECTIONS = 2000
-"""Directions in which two convex bodies are compared; neighbours are 2.6 degrees apart."""
+"""Directions in which two convex bodies are compared; neighbors are 2.6 degrees apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,18 +22,18 @@ class Primitive:
     """A solid in the frame of a mesh.
 
     ``size`` [m] are the full extents of a `box`, radius and height of a `cylinder` along its z, or the radius of a
-    `sphere`; ``rotation`` (3, 3) has its axes as columns, ``centre`` [m] is its middle.
+    `sphere`; ``rotation`` (3, 3) has its axes as columns, ``center`` [m] is its middle.
     """
 
     kind: Kind
     size: tuple[float, ...]
     rotation: Array
-    centre: Array
+    center: Array
 
     def support(self, directions: Array) -> Array:
         """The greatest coordinate [m] along each of n unit vectors, shape (n,)."""
         local = directions @ self.rotation
-        middle = directions @ self.centre
+        middle = directions @ self.center
         if self.kind == "box":
             return np.asarray(middle + np.abs(local) @ np.array(self.size) / 2)
         if self.kind == "sphere":
@@ -52,7 +52,7 @@ class Primitive:
             turn = np.arange(sides) * (2 * np.pi / sides)
             ring = self.size[0] * np.column_stack([np.cos(turn), np.sin(turn)])
             local = np.concatenate([np.column_stack([ring, np.full(sides, z * self.size[1])]) for z in (-0.5, 0.5)])
-        return np.asarray(local @ self.rotation.T + self.centre)
+        return np.asarray(local @ self.rotation.T + self.center)
 
 
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
@@ -87,10 +87,10 @@ def _candidates(corners: Array) -> Iterator[Primitive]:
             turned = frame[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]  # its z is the axis, and it stays right-handed
             points = corners @ turned
             low, high = points.min(axis=0), points.max(axis=0)
-            centre = (low + high) / 2
+            center = (low + high) / 2
             turn = np.linspace(0, 2 * np.pi, 90, endpoint=False)
-            radius = _mean_radius(points[:, :2] - centre[:2], np.column_stack([np.cos(turn), np.sin(turn)]))
-            yield Primitive("cylinder", (radius, float(high[2] - low[2])), turned, turned @ centre)
+            radius = _mean_radius(points[:, :2] - center[:2], np.column_stack([np.cos(turn), np.sin(turn)]))
+            yield Primitive("cylinder", (radius, float(high[2] - low[2])), turned, turned @ center)
 
 
 def _frames(corners: Array) -> list[Array]:

@@ -1,7 +1,7 @@
 """Read 3D Gaussian splats from PLY files of trainers, and convert the raw parameters to physical values.
 
 The file holds raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
-function, scales before the exponential, quaternions of any length, and colour as spherical harmonics, channel by
+function, scales before the exponential, quaternions of any length, and color as spherical harmonics, channel by
 channel.
 """
 
@@ -47,7 +47,7 @@ class Gaussians:
 
 
 def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
-    """Return the Gaussians of a PLY file, in metres; raises :class:`MeshError` for a file without any."""
+    """Return the Gaussians of a PLY file, in meters; raises :class:`MeshError` for a file without any."""
     raw = _vertices(path)
     names = raw.dtype.names or ()
     missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.losses import Loss, approximate
-from simfoundry.scene.inertia import effective_inertias
+from simfoundry.scene.kinematics import effective_inertias, trees
 from simfoundry.scene.model import Drive, Scene, SceneObject
-from simfoundry.scene.trees import trees
 
 
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> dict[str, Drive]:

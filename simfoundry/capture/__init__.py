@@ -1,1 +1,1 @@
-"""Sensors to spec: from colour, depth and intrinsics to objects with poses, sizes and names."""
+"""Sensors to spec: from color, depth and intrinsics to objects with poses, sizes and names."""

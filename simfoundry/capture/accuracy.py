@@ -14,7 +14,7 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds
 
 SAME_OBJECT = 0.06
-"""Objects whose centres are farther apart than this [m] are different ones."""
+"""Objects whose centers are farther apart than this [m] are different ones."""
 
 F1_DISTANCE = 0.01
 
@@ -23,7 +23,7 @@ F1_DISTANCE = 0.01
 class ObjectAccuracy:
     """A true object and its reconstruction; ``recovered`` is empty if there is none.
 
-    ``position`` [m] is the distance between the centres of their bounding boxes; ``size_true`` and ``size`` [m] are the
+    ``position`` [m] is the distance between the centers of their bounding boxes; ``size_true`` and ``size`` [m] are the
     extents of their own boxes, sorted; ``chamfer`` [m] the mean distance between their surfaces, both ways averaged;
     ``f1`` at 1 cm; masses in kg.
     """
@@ -55,7 +55,7 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
-    # Beyond the limit all are equally wrong: otherwise an object that was not found would take a neighbour's match.
+    # Beyond the limit all are equally wrong: otherwise an object that was not found would take a neighbor's match.
     matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(np.minimum(distance, SAME_OBJECT))), strict=True))
     out = []
     for k, item in enumerate(real):

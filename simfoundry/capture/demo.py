@@ -11,7 +11,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.errors import MissingEngineError
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load_capture

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import colorsys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
 import numpy as np
 
 from simfoundry.assets import mass
-from simfoundry.capture.annotate import SUPPORT, MaterialPrior, kind_of
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import Thickness
 from simfoundry.geometry.frames import Pose, frozen_array
-from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.poses import pose_spec
+from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,
@@ -32,12 +36,88 @@ from simfoundry.spec.models.base import (
 )
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
+
+class ShapeKind(StrEnum):
+    """Kind of an object as its shape suggests it."""
+
+    BOX = "box"
+    CAN = "can"
+    BALL = "ball"
+    BOWL = "bowl"
+    OBJECT = "object"
+
+
+@dataclass(frozen=True)
+class MaterialPrior:
+    """A row of the material table: densities [kg/m^3] over the solid volume, and the Coulomb friction coefficient."""
+
+    name: str
+    density: float
+    lowest: float
+    highest: float
+    friction: float
+
+
+# Densities: the range of YCB objects of the kind (see above); frictions: estimates for such surfaces on wood.
+TABLE = {
+    ShapeKind.BOX: MaterialPrior("carton", 400, 150, 750, 0.4),
+    ShapeKind.CAN: MaterialPrior("can", 700, 300, 1050, 0.35),
+    ShapeKind.BALL: MaterialPrior("fruit", 800, 100, 1050, 0.5),
+    ShapeKind.BOWL: MaterialPrior("crockery", 1800, 900, 2500, 0.35),
+    ShapeKind.OBJECT: MaterialPrior("package", 600, 150, 1100, 0.4),
+}
+SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
+
+# Upper limits of hue [deg] of the English color words, read off the HSV circle.
+_HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
+
+
+def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
+    """Classify a fitted shape."""
+    match geometry:
+        case Box():
+            return ShapeKind.BOX
+        case Cylinder() | Capsule():
+            return ShapeKind.CAN
+        case Sphere():
+            return ShapeKind.BALL
+    return ShapeKind.BOWL if hollow else ShapeKind.OBJECT
+
+
+def color_word(rgb: tuple[float, float, float]) -> str:
+    """Return a plain English word for an sRGB color in [0, 1]."""
+    hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
+    if value < 0.2:
+        return "black"
+    if saturation < 0.18:
+        return "white" if value > 0.65 else "gray"
+    degrees = hue * 360
+    if 10 <= degrees < 45 and value < 0.6:
+        return "brown"
+    if (degrees >= 320 or degrees < 15) and saturation < 0.45 and value > 0.6:
+        return "pink"
+    return next((word for limit, word in _HUES if degrees < limit), "red")
+
+
+def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Return the names with ``_2``, ``_3`` … appended to repeated ones."""
+    used = set(taken)
+    out = []
+    for base in wanted:
+        name, k = base, 2
+        while name in used:
+            name, k = f"{base}_{k}", k + 1
+        used.add(name)
+        out.append(name)
+    return out
+
+
 SUPPORT_NAME = "table"  # the name of the support in the scene
 
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
     """Return the support as a fixed prism whose top is at z = 0."""
-    outline = tuple((metres(x), metres(y)) for x, y in support.outline)
+    outline = tuple((meters(x), meters(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
     return ObjectSpec(
         category="table",
@@ -46,7 +126,7 @@ def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> Obje
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
         pose=PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
-        origin=Origin(capture=capture, fit_error=metres(support.residual), note=note),
+        origin=Origin(capture=capture, fit_error=meters(support.residual), note=note),
     )
 
 
@@ -68,7 +148,7 @@ def object_spec(
         color=_rgb(color) if mesh.texture is None else None,
         mass=Estimate(value=kilograms[0], range=(low, high), source="material_table"),
         pose=pose_spec(shape.X_WO),
-        origin=Origin(capture=capture, fit_error=metres(shape.fit_m), confidence=round(shape.confidence, 2)),
+        origin=Origin(capture=capture, fit_error=meters(shape.fit_m), confidence=round(shape.confidence, 2)),
     )
 
 
@@ -76,15 +156,15 @@ def _shape_spec(shape: FittedShape) -> Shape | None:
     """Return the shape as a spec writes it, or None if only a mesh can represent it."""
     geometry = shape.geometry
     if shape.profile is not None:
-        return LatheShape(lathe=Lathe(profile=tuple((metres(r), metres(z)) for r, z in shape.profile)))
+        return LatheShape(lathe=Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
     match geometry:
         case Box():
-            x, y, z = (metres(v) for v in geometry.size)
+            x, y, z = (meters(v) for v in geometry.size)
             return BoxShape(box=(x, y, z))
         case Cylinder():
-            return CylinderShape(cylinder=Round(radius=metres(geometry.radius), height=metres(geometry.height)))
+            return CylinderShape(cylinder=Round(radius=meters(geometry.radius), height=meters(geometry.height)))
         case Sphere():
-            return SphereShape(sphere=metres(geometry.radius))
+            return SphereShape(sphere=meters(geometry.radius))
     return None
 
 
@@ -92,7 +172,7 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
     """Return the camera that took the picture."""
     height, width = frame.depth.shape
     X_WC: Pose = support.X_WC
-    x, y, z = (metres(v) for v in X_WC.p)
+    x, y, z = (meters(v) for v in X_WC.p)
     qw, qx, qy, qz = (round(float(v), 6) for v in X_WC.q)
     return CameraSpec(
         size=(width, height),
@@ -110,14 +190,14 @@ def material_spec(substance: MaterialPrior) -> Material:
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimetre."""
+    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimeter."""
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 
-def metres(value: float) -> float:
-    """Round a length to a tenth of a millimetre, finer than any supported sensor."""
+def meters(value: float) -> float:
+    """Round a length to a tenth of a millimeter, finer than any supported sensor."""
     return round(float(value), 4)
 
 

@@ -19,8 +19,8 @@ from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
 
-# Common units of depth pictures by their scale to metres, for a hint where depth is implausible.
-UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
+# Common units of depth pictures by their scale to meters, for a hint where depth is implausible.
+UNITS = {0.001: "millimeters", 0.0001: "tenths of a millimeter", 1.0: "meters", 0.01: "centimeters"}
 
 NUMBERS_MAX = 178_956_970
 """Largest number of values of an array: Pillow's own limit of pixels against decompression bombs."""
@@ -68,12 +68,12 @@ class _Reader:
             self.intrinsics(shot.depth.camera, width, height, ("depth", "camera"), shot.depth.image)
         elif depth is not None and color is not None and depth.shape != color.shape[:2]:
             message = f"{shot.depth.image} is {_size(depth)}, but {shot.color} is {_size(color)}"
-            hint = "register depth to colour, or give the depth camera's own `camera` and `pose`"
+            hint = "register depth to color, or give the depth camera's own `camera` and `pose`"
             self.fail("SF501", ("depth", "image"), message, hint)
         if masks is not None and color is not None and masks.shape != color.shape[:2]:
             image = shot.masks.image if shot.masks is not None else ""
             message = f"{image} is {_size(masks)}, but {shot.color} is {_size(color)}"
-            self.fail("SF501", ("masks", "image"), message, "masks must match the colour picture pixel by pixel")
+            self.fail("SF501", ("masks", "image"), message, "masks must match the color picture pixel by pixel")
         if self.findings or color is None or depth is None:
             raise SpecError(self.findings)
         if shot.depth.camera is not None and shot.depth.pose is not None:
@@ -82,21 +82,21 @@ class _Reader:
             depth = register(depth, matrix(shot.depth.camera), X_color_depth, matrix(shot.camera), size)
             if np.isfinite(depth).sum() < FEWEST:
                 message = f"hardly anything that {shot.depth.image} measures lies in the view of {shot.color}"
-                hint = "`pose` is the depth camera's in the colour camera's frame, in metres; is it its inverse?"
+                hint = "`pose` is the depth camera's in the color camera's frame, in meters; is it its inverse?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
         return Frame(color, depth, matrix(shot.camera), masks)
 
     def color(self, shot: Shot) -> NDArray[np.uint8] | None:
-        """Return colour as RGB, the pixels as stored: depth, masks and intrinsics ignore an EXIF rotation."""
+        """Return color as RGB, the pixels as stored: depth, masks and intrinsics ignore an EXIF rotation."""
         picture = self.stored(shot.color, ("color",), mode="RGB")
         if picture is not None and picture.shape[2:] != (3,):
-            self.fail("SF501", ("color",), f"{shot.color} is no colour picture", "give a PNG or a JPEG")
+            self.fail("SF501", ("color",), f"{shot.color} is no color picture", "give a PNG or a JPEG")
             return None
         return None if picture is None else picture.astype(np.uint8, copy=False)
 
     def depth(self, shot: Shot) -> Array | None:
-        """Return depth in metres, NaN where there is none."""
+        """Return depth in meters, NaN where there is none."""
         hint = "give the distances themselves: 16-bit PNG, TIFF or .npy, not a picture made for looking at"
         raw = self.raw(shot.depth.image, ("depth", "image"), hint)
         if raw is None:
@@ -107,8 +107,8 @@ class _Reader:
             message = f"{shot.depth.image} holds no measurement: all values are invalid"
             self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
             return None
-        metres = np.where(valid, values * shot.depth.scale, np.nan)
-        usable = (metres >= NEAR) & (metres <= FAR)
+        meters = np.where(valid, values * shot.depth.scale, np.nan)
+        usable = (meters >= NEAR) & (meters <= FAR)
         median = float(np.median(values[valid]))
         fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
         too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
@@ -121,13 +121,13 @@ class _Reader:
             message = f"{shot.depth.image} has {usable.sum()} usable pixels; {FEWEST} are needed at least"
             self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
             return None
-        return np.where(usable, metres, np.nan)
+        return np.where(usable, meters, np.nan)
 
     def masks(self, shot: Shot) -> NDArray[np.int32] | None:
         """Return object numbers, 0 where there is no object."""
         if shot.masks is None:
             return None
-        hint = "give each object a number of its own in one channel, not a colour"
+        hint = "give each object a number of its own in one channel, not a color"
         raw = self.raw(shot.masks.image, ("masks", "image"), hint)
         if raw is None:
             return None
@@ -171,7 +171,7 @@ class _Reader:
             message = f"the principal point ({camera.cx:g}, {camera.cy:g}) lies outside {image}, {width} x {height}"
             self.fail("SF501", path, message, "are the intrinsics those of another resolution?")
         else:
-            self.centre(camera, width, height, path, image)
+            self.center(camera, width, height, path, image)
         for key, focal, extent in (("fx", camera.fx, width), ("fy", camera.fy, height)):
             if not 0.2 * extent <= focal <= 20 * extent:
                 message = f"`{key}` {focal:g} px does not fit a picture of {extent} px"
@@ -179,7 +179,7 @@ class _Reader:
         if not 0.5 <= camera.fx / camera.fy <= 2:
             self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
 
-    def centre(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
+    def center(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
         """Check the principal point: an implausible one betrays intrinsics of another picture or in another order."""
         x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
         message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
@@ -199,9 +199,9 @@ def matrix(camera: Intrinsics) -> Array:
 
 
 def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
-    """Reproject depth [m] into the colour camera, shape ``size`` (height, width), NaN where nothing lands.
+    """Reproject depth [m] into the color camera, shape ``size`` (height, width), NaN where nothing lands.
 
-    Each measurement covers the pixels that its own pixel spans in the colour picture; the nearest one wins.
+    Each measurement covers the pixels that its own pixel spans in the color picture; the nearest one wins.
     """
     height, width = size
     points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]

@@ -13,17 +13,14 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame
+from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import staged, write_file
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import with_poses
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.load import load_capture, load_scene
 from simfoundry.spec.loaded import Loaded
@@ -133,7 +130,7 @@ def _settled(
     """Settle the scene, and write spec and meshes beside ``scene_file`` with the poses and relations at rest.
 
     An object whose fitted solid does not come to rest is left out, and the others settle anew.
-    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimetre decides.
+    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimeter decides.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 

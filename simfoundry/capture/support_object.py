@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
@@ -24,7 +24,7 @@ EDGE = 0.015
 
 TEXTURE_STEP = 0.002
 """Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
-TEXTURE_LIMIT = 1024  # [px] longer side of the texture: at most 3 MB, finer than a camera at a metre sees a table
+TEXTURE_LIMIT = 1024  # [px] longer side of the texture: at most 3 MB, finer than a camera at a meter sees a table
 
 IN_FRONT = 0.02
 """What is measured this much nearer than the top [m] hides it, whether or not it became an object."""
@@ -101,8 +101,8 @@ def thickness(frame: Frame, support: SupportSurface) -> Thickness:
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
     """The slab, top at z = 0, with the picture warped onto it.
 
-    Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's colour.
-    What objects hide (``labels``, shape (h, w), above 0), and what lies outside the picture, gets the colour of the
+    Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's color.
+    What objects hide (``labels``, shape (h, w), above 0), and what lies outside the picture, gets the color of the
     nearest seen patch.
     """
     vertices, faces = prism_mesh(support.outline, height)

@@ -2,17 +2,203 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simfoundry.capture.sensor import simulate_frame, write_capture
-from simfoundry.render.raycast import raycast
-from simfoundry.runtime.files import write_atomically
-from simfoundry.runtime.outputs import MARK
+from simfoundry.capture.frame import Frame
+from simfoundry.geometry.frames import Array
+from simfoundry.render.raycast import Raycast, raycast
+from simfoundry.runtime.files import MARK, write_atomically, writing_atomically
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Masks, Shot
 from simfoundry.spec.yaml.write import to_yaml
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """A structured-light or active-stereo depth camera.
+
+    The spread of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
+    ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] from facing the camera. This form and
+    its defaults are the fit to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
+    Reconstruction and Tracking", 3DIMPVT 2012 (who add the last term beyond 60 degrees only; here it grows from zero,
+    so that the spread has no step); ``lateral`` is their 0.8 px for a surface that faces the camera.
+    """
+
+    axial_base: float = 0.0012
+    """Spread at ``axial_origin`` [m]."""
+    axial_growth: float = 0.0019
+    """Growth of the spread with the square of the distance [1/m]."""
+    axial_origin: float = 0.4
+    """Distance of the smallest spread [m]."""
+    axial_tilt: float = 0.0001
+    """Spread that a tilted surface adds [m^1.5]."""
+    lateral: float = 0.8
+    """Spread of where an edge appears in the image [px]."""
+    disparity_step: float = 0.125
+    """Smallest step of disparity [px]; 0 for none. Depth comes in steps of z^2 * step / (fx * baseline)."""
+    baseline: float = 0.075
+    """Distance between projector and camera, or between the two cameras [m]."""
+    edge_jump: float = 0.03
+    """A change of depth between neighbors that is an edge: relative, beyond what the slope of the surface explains."""
+    edge_band: int = 2
+    """How far from an edge the farther surface stays without depth [px]."""
+    grazing_deg: float = 78.0
+    """Surfaces tilted more than this from facing the camera [deg] return nothing."""
+    dropout: float = 0.002
+    """Probability that a pixel returns nothing for no reason."""
+    nearest: float = 0.25
+    """Nearest depth [m]."""
+    farthest: float = 4.0
+    """Farthest depth [m]."""
+
+
+IDEAL = SensorModel(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.075, math.inf, 0, 90.0, 0.0, 0.0, math.inf)
+"""A camera without flaws: the depth of the picture as it is."""
+
+ACTIVE_STEREO = SensorModel(
+    axial_base=0.0004, axial_growth=0.0019, axial_origin=0.0, lateral=0.6, disparity_step=0.03125
+)
+"""A short-range active-stereo camera on a desk: about 0.9 mm of spread at 0.5 m."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureFiles:
+    """Pictures of a capture as written: file names, intrinsics ``K`` [px], shape (3, 3), and [m] of one depth count."""
+
+    color: str
+    depth: str
+    instances: str | None
+    K: Array
+    depth_scale: float
+
+
+def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Array:
+    """Depth [m], shape (h, w), as ``model`` would see it, NaN where it sees none; ``rng`` is the only chance in it."""
+    tilt = _tilt(ray)
+    edge, behind = _edges(ray, tilt, model)
+    depth = np.where(edge, _jittered(ray.depth, rng, model.lateral), ray.depth)
+    depth = depth + _axial_spread(ray.depth, tilt, model) * rng.standard_normal(depth.shape)
+    if model.disparity_step > 0:
+        disparity = ray.camera.fx * model.baseline / np.maximum(depth, 1e-6)
+        steps = np.maximum(np.rint(disparity / model.disparity_step), 1.0)
+        depth = np.where(np.isnan(depth), np.nan, ray.camera.fx * model.baseline / (steps * model.disparity_step))
+    lost = behind | (tilt > math.radians(model.grazing_deg)) | (rng.random(depth.shape) < model.dropout)
+    lost |= ~((depth >= model.nearest) & (depth <= model.farthest))
+    return np.asarray(np.where(lost, np.nan, depth))
+
+
+def simulate_color(ray: Raycast, rng: np.random.Generator, read: float = 1.2, shot: float = 0.12) -> NDArray[np.uint8]:
+    """The color picture with sensor noise of variance ``read^2 + shot^2 * value`` in 8-bit counts, shape (h, w, 3)."""
+    value = ray.color.astype(np.float64)
+    noisy = value + np.sqrt(read**2 + shot**2 * value) * rng.standard_normal(value.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Frame:
+    """Color, depth, intrinsics and instance masks of ``ray`` as a real camera would deliver them."""
+    c = ray.camera
+    K = np.array([[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]])
+    return Frame(color=simulate_color(ray, rng), depth=simulate_depth(ray, rng, model), K=K, instances=ray.objects)
+
+
+def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> CaptureFiles:
+    """Write ``color.png`` (8-bit RGB), ``depth.png`` (16-bit, ``depth_scale`` [m] a count, 0 for none) and, where the
+    frame has masks, ``instances.png`` (16-bit labels). The same frame gives the same bytes.
+
+    Raises ValueError, before anything is written, for a depth or a label that 16 bits cannot hold.
+    """
+    counts = np.rint(np.where(np.isnan(frame.depth), 0.0, frame.depth) / depth_scale)
+    if counts.min() < 0 or counts.max() > 65535:
+        low, high = float(np.nanmin(frame.depth)), float(np.nanmax(frame.depth))
+        raise ValueError(
+            f"depth from {low:.4g} to {high:.4g} m does not fit 16 bits at {depth_scale:g} m a count, "
+            f"which hold 0 to {65535 * depth_scale:.4g} m; give a larger depth_scale"
+        )
+    if frame.instances is not None and (frame.instances.min() < 0 or frame.instances.max() > 65535):
+        raise ValueError(f"instance labels must be 0 to 65535, got up to {frame.instances.max()}")
+    folder.mkdir(parents=True, exist_ok=True)
+    _write_png(folder / "color.png", frame.color)
+    _write_png(folder / "depth.png", counts.astype(np.uint16))
+    if frame.instances is not None:
+        _write_png(folder / "instances.png", frame.instances.astype(np.uint16))
+    masks = None if frame.instances is None else "instances.png"
+    return CaptureFiles("color.png", "depth.png", masks, np.asarray(frame.K, dtype=np.float64), depth_scale)
+
+
+def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    info.add_text("Software", MARK)
+    with writing_atomically(path) as stream:
+        Image.fromarray(image).save(stream, format="PNG", compress_level=6, pnginfo=info)
+
+
+def _tilt(ray: Raycast) -> Array:
+    """Angle between each surface and the ray that sees it [rad], 0 for facing, shape (h, w), NaN for none."""
+    c = ray.camera
+    u, v = np.meshgrid(np.arange(c.width), np.arange(c.height))
+    local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
+    direction = (local / np.linalg.norm(local, axis=-1, keepdims=True)) @ c.X_WC.rotation.T
+    return np.asarray(np.arccos(np.clip(-(direction * ray.normals).sum(axis=-1), 0.0, 1.0)))
+
+
+def _axial_spread(z: Array, tilt: Array, model: SensorModel) -> Array:
+    """Standard deviation of the depth [m], shape (h, w)."""
+    t = np.minimum(tilt, math.radians(85.0))  # the fit grows without bound toward 90 degrees
+    facing = model.axial_base + model.axial_growth * (z - model.axial_origin) ** 2
+    return np.asarray(facing + model.axial_tilt / np.sqrt(z) * t**2 / (math.pi / 2 - t) ** 2)
+
+
+def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pixels whose depth is uncertain beside a jump of depth, and those of its farther side that are hidden."""
+    z = np.where(np.isnan(ray.depth), np.inf, ray.depth)
+    # A plane tilted by t changes by z tan(t) / f from one pixel to the next; only more than that is a jump.
+    steepness = np.tan(np.minimum(np.nan_to_num(tilt), math.radians(85.0))) / min(ray.camera.fx, ray.camera.fy)
+    slack = 2 * np.nan_to_num(ray.depth) * steepness
+    near_side, far_side = np.zeros(z.shape, dtype=np.bool_), np.zeros(z.shape, dtype=np.bool_)
+    for axis in (0, 1):
+        low, high = (slice(None, -1), slice(1, None))
+        one = (low, slice(None)) if axis == 0 else (slice(None), low)
+        two = (high, slice(None)) if axis == 0 else (slice(None), high)
+        with np.errstate(invalid="ignore"):
+            gap = np.nan_to_num(z[two] - z[one], posinf=np.inf, neginf=-np.inf)
+        limit = model.edge_jump * np.minimum(z[one], z[two]) + np.maximum(slack[one], slack[two])
+        rises, falls = gap > limit, -gap > limit
+        near_side[one] |= rises
+        far_side[two] |= rises
+        far_side[one] |= falls
+        near_side[two] |= falls
+    uncertain = _grown(near_side | far_side, 1 if model.lateral > 0 else 0)
+    hidden = _grown(far_side & ~near_side, model.edge_band - 1, ~near_side)
+    return uncertain, hidden & (model.edge_band > 0)
+
+
+def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """The mask with its neighbors up to ``steps`` pixels away (city blocks), on a path that stays ``within``."""
+    for _ in range(max(0, steps)):
+        wide = mask.copy()
+        wide[1:] |= mask[:-1]
+        wide[:-1] |= mask[1:]
+        wide[:, 1:] |= mask[:, :-1]
+        wide[:, :-1] |= mask[:, 1:]
+        mask = wide if within is None else wide & within
+    return mask
+
+
+def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:
+    """Each pixel's depth taken from a place nearby, ``spread`` [px] away on average in each direction."""
+    h, w = depth.shape
+    shift = np.rint(spread * rng.standard_normal((2, h, w))).astype(np.int64)
+    v, u = np.meshgrid(np.arange(h), np.arange(w), indexing="ij")
+    return np.asarray(depth[np.clip(v + shift[0], 0, h - 1), np.clip(u + shift[1], 0, w - 1)])
+
 
 CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
 """What a synthesized capture consists of."""
@@ -21,7 +207,7 @@ CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
 def synthesize(
     scene: Scene, camera: Camera, folder: Path, seed: int, masks: bool = False, truth: Path | None = None
 ) -> Path:
-    """Write colour, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
+    """Write color, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
 
     The same scene and seed give the same bytes. ``truth`` names the scene document in the capture where it lies in
     the same folder.

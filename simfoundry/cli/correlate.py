@@ -13,8 +13,7 @@ from simfoundry.cli.output import CannotError, print_json, subcommand
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement
-    from simfoundry.evaluate.statistics.scores import Score
+    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
 
 
 @subcommand(force=True)
@@ -46,11 +45,17 @@ def command(
     Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
     rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
     """
-    from simfoundry.evaluate.statistics.correlation import Draws, agreements, left_out, reservations
-    from simfoundry.evaluate.statistics.scores import by_engine, read_scores
+    from simfoundry.evaluate.statistics.correlation import (
+        Draws,
+        agreements,
+        by_engine,
+        left_out,
+        read_scores,
+        reservations,
+    )
 
     if svg is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)

@@ -64,15 +64,14 @@ def command(
 
     The exit code is 1 if there are fewer cousins, or fewer variants of an object, than requested.
     """
-    from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.recipe.candidate import ImpossibleError
-    from simfoundry.cousins.recipe.variant_pool import ASSETS
+    from simfoundry.cousins.recipe.variant_pool import ASSETS, counts
     from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
     from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)
@@ -130,7 +129,7 @@ def _write(
     if pictures:
         write_gallery(plan, ledger, pictures, lambda done, of: progress("pictures", done / of))
     if stage is not None:
-        from simfoundry.cousins.run.stage import write_stage
+        from simfoundry.cousins.run.report import write_stage
 
         write_stage(plan, ledger, recipe, stage)
     finish(plan, ledger)
@@ -145,8 +144,8 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
 
 
 def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
-    from simfoundry.cousins.run.report import FILE, examples, summary
-    from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE
+    from simfoundry.cousins.run.report import examples, summary
+    from simfoundry.cousins.run.run import LEAST_RATE, MANIFEST, PATIENCE
 
     facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
@@ -175,6 +174,6 @@ def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bo
         )
     elif short:
         click.echo(f"the recipe has only these {ledger.examined} candidates", err=True)
-    where = plan.out / FILE if plan.shard is None else plan.out
+    where = plan.out / MANIFEST if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
     return end

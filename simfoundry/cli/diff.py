@@ -40,7 +40,7 @@ def command(
     if (form == "html") != (out is not None):
         raise CannotError("an HTML page needs an output file; give `--format html` and `-o PAGE.html` together")
     if out is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:

@@ -183,8 +183,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """Print the rates over all tasks, and the significance of the differences between policies."""
     from rich.table import Table
 
-    from simfoundry.evaluate.statistics.engine_comparison import compare_engines
-    from simfoundry.evaluate.statistics.pools import comparisons, pool_rows, pools
+    from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
+    from simfoundry.evaluate.statistics.results import pool_rows, pools
 
     found = pools(records)
     if found:
@@ -200,7 +200,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
                 table.add_row("  tasks weighted equally", *alike, style="dim")
         console.print()
         console.print(table)
-    pairs = comparisons(records)
+    pairs = compare_policies(records)
     for one in pairs[:SENTENCES]:
         console.print(one.sentence, markup=False, soft_wrap=True)
     if len(pairs) > SENTENCES:

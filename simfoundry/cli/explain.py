@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import CannotError, in_colour, print_json, subcommand
+from simfoundry.cli.output import CannotError, in_color, print_json, subcommand
 
 if TYPE_CHECKING:
     from simfoundry.spec.check.pages import Page
@@ -37,7 +37,7 @@ def command(code: str | None, as_json: bool) -> None:
     found = page(known)
     if as_json:
         print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
-    elif in_colour(sys.stdout):
+    elif in_color(sys.stdout):
         _render(found)
     else:
         click.echo(found.markdown, nl=False)

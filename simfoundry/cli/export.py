@@ -26,8 +26,7 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.frontends.task_export import export_task
-    from simfoundry.runtime.files import write_atomically
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable, write_atomically
     from simfoundry.scene.lower import lower_file
     from simfoundry.spec.load import load_kind
     from simfoundry.spec.models.task import TaskSpec

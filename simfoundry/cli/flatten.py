@@ -20,8 +20,7 @@ def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json:
     Equivalent documents give the same text, and therefore the same hash. Paths of files become relative to the place
     where the text is written.
     """
-    from simfoundry.runtime.files import write_atomically
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable, write_atomically
     from simfoundry.spec.change.flatten import digest, flatten
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load

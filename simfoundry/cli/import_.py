@@ -99,7 +99,7 @@ def command(
 
 
 def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
-    from simfoundry.frontends.usd.compiled import import_stage
+    from simfoundry.frontends.usd.compiled.loading import import_stage
 
     before = out.read_bytes() if out.is_file() else None
     imported = import_stage(path, out, onto, force)
@@ -157,7 +157,7 @@ def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportR
     """Return the report on a stage that was compiled from a document, which is written again."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
     from simfoundry.frontends.importer import ImportReport
-    from simfoundry.frontends.usd.compiled import import_stage
+    from simfoundry.frontends.usd.compiled.loading import import_stage
 
     imported = import_stage(source, target, None, options.force)
     notes = tuple(ImportNote(ImportNoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)

@@ -61,7 +61,7 @@ def command(
 
 
 def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable
     from simfoundry.spec.change.merge.texts import merge_texts, new_errors
 
     if out is not None:
@@ -118,7 +118,7 @@ def _by_lines(args: Sequence[str]) -> int:
 
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable
     from simfoundry.spec.change.merge.resolve import resolve
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load

@@ -129,10 +129,10 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
     elif findings:
         from simfoundry.spec.check.report import findings_text
 
-        click.echo(findings_text(findings, in_colour(sys.stderr)), err=True, color=True)
+        click.echo(findings_text(findings, in_color(sys.stderr)), err=True, color=True)
 
 
-def in_colour(stream: TextIO) -> bool:
+def in_color(stream: TextIO) -> bool:
     """Return whether to color a stream: a terminal without a request for plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 

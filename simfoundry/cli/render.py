@@ -21,7 +21,7 @@ from simfoundry.cli.output import choose_camera, lower_scene, print_json, subcom
 def command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
     """Render a PNG from a camera of a scene, without a display."""
     from simfoundry.render.montage import save_png
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable
     from simfoundry.worlds.render import choose_engine, render
 
     loaded, spec, lowered = lower_scene(scene, as_json)

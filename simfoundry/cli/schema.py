@@ -23,8 +23,7 @@ def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> 
     The schemas include editor extensions of JSON Schema: snippets, Markdown and messages. For validators that reject
     unknown keywords, use --standard.
     """
-    from simfoundry.runtime.files import write_atomically
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable, write_atomically
     from simfoundry.spec.editor.schema import schemas
 
     texts = schemas(standard)

@@ -22,9 +22,8 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
     1 if an object fails: it moved, tilted, topples when nudged, penetrates another, lost its support, fell, or never
     came to rest.
     """
-    from simfoundry.runtime.files import write_atomically
-    from simfoundry.runtime.outputs import ensure_replaceable
-    from simfoundry.scene.poses import with_state
+    from simfoundry.runtime.files import ensure_replaceable, write_atomically
+    from simfoundry.scene.state import with_state
     from simfoundry.spec.yaml.write import to_yaml
     from simfoundry.worlds import open_world
     from simfoundry.worlds.settle import settle

@@ -19,7 +19,7 @@ from simfoundry.cli.output import choose_camera, lower_scene, print_json, subcom
 def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool) -> None:
     """Render a scene to a capture: color and depth with the noise and the holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
-    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.runtime.files import ensure_replaceable
 
     loaded, spec, lowered = lower_scene(scene, as_json)
     view = choose_camera(lowered, spec, camera)

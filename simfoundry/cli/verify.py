@@ -16,16 +16,16 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progr
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
     from simfoundry.verify.rest import RestResult
-    from simfoundry.verify.run import BehaviourResult, ReadbackResult, SceneBuilds
+    from simfoundry.verify.run import BehaviorResult, ReadbackResult, SceneBuilds
 
     Found = Mapping[str, InstalledEngine | None]
 
 
 class VerifyResults(NamedTuple):
-    """Values read back, measured behaviours, and rest poses."""
+    """Values read back, measured behaviors, and rest poses."""
 
     readings: Sequence[ReadbackResult]
-    results: Sequence[BehaviourResult]
+    results: Sequence[BehaviorResult]
     rested: Sequence[RestResult]
 
     @property
@@ -33,7 +33,7 @@ class VerifyResults(NamedTuple):
         """True if every difference has a known reason."""
         from simfoundry.verify.run import ProofStatus
 
-        outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*self.readings, *self.results, *self.rested]
+        outcomes: list[ReadbackResult | BehaviorResult | RestResult] = [*self.readings, *self.results, *self.rested]
         return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
 
 
@@ -43,7 +43,7 @@ class VerifyResults(NamedTuple):
     "--engine", "engines", multiple=True, metavar="NAME",
     help="Verify in this engine; may be repeated. Default: all engines found.",
 )  # fmt: skip
-@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Also measure behaviours.")
+@click.option("--behaviors/--no-behaviors", default=True, show_default=True, help="Also measure behaviors.")
 @click.option(
     "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Verify this build instead of a new one.",
@@ -63,7 +63,7 @@ class VerifyResults(NamedTuple):
 def command(
     specs: tuple[Path, ...],
     engines: tuple[str, ...],
-    behaviours: bool,
+    behaviors: bool,
     build: Path | None,
     pythons: tuple[str, ...],
     require: tuple[str, ...],
@@ -76,11 +76,11 @@ def command(
     """Load builds of scenes in real simulators and compare the loaded values with the scene.
 
     SPECS are scenes, or folders of them. Each is compiled anew; --build verifies an existing build of one scene
-    instead. Behaviours are measured on test mechanisms with a known answer, such as a pendulum, and on each scene
+    instead. Behaviors are measured on test mechanisms with a known answer, such as a pendulum, and on each scene
     simulated for two seconds; without SPECS only the test mechanisms are measured. Engines are searched in this Python,
     in the interpreters given by --python, and in those of SIMFOUNDRY_ENGINES (separated by commas). Each runs in its
     own process, so that a crash or a hang is reported and the others continue. The exit code is 1 if a value differs
-    from the scene without an entry in the loss report, if a behaviour is off without a known reason, or if an engine
+    from the scene without an entry in the loss report, if a behavior is off without a known reason, or if an engine
     fails.
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
@@ -88,10 +88,10 @@ def command(
     paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
         raise CannotError("--build needs exactly one scene, from which the build was compiled")
-    if not paths and not behaviours:
-        raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
+    if not paths and not behaviors:
+        raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviors")
     if html is not None:
-        from simfoundry.runtime.outputs import ensure_replaceable
+        from simfoundry.runtime.files import ensure_replaceable
 
         ensure_replaceable(html, paths, force)
     required = [find_engine(name) for name in require]
@@ -103,7 +103,7 @@ def command(
         subjects = _subjects(stack, paths, build, found, progress)
         if build is not None:
             found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
-        verified = _verify(subjects, found, behaviours, jobs, timeout, progress)
+        verified = _verify(subjects, found, behaviors, jobs, timeout, progress)
         if html is not None:
             _write_page(html, verified, found, subjects)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
@@ -152,19 +152,19 @@ def _name(path: Path, paths: Sequence[Path]) -> str:
 def _verify(
     subjects: Sequence[SceneBuilds],
     found: Found,
-    behaviours: bool,
+    behaviors: bool,
     jobs: int,
     timeout: float,
     progress: Callable[[str, float], None],
 ) -> VerifyResults:
-    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.behaviors import BEHAVIORS
     from simfoundry.verify.rest import settle_subjects
-    from simfoundry.verify.run import measure_behaviours, read_subjects
+    from simfoundry.verify.run import measure_behaviors, read_subjects
 
     here = [f for f in found.values() if f is not None]
     readable = [f for f in here if all(f.engine.name in s.builds for s in subjects)]
     stepping = sum(f.engine.spec.steps for f in here)
-    work = len(subjects) * len(readable) + (stepping * (len(BEHAVIOURS) + len(subjects)) if behaviours else 0)
+    work = len(subjects) * len(readable) + (stepping * (len(BEHAVIORS) + len(subjects)) if behaviors else 0)
     done = 0
 
     def report(engine: str, units: int) -> None:
@@ -174,19 +174,19 @@ def _verify(
 
     return VerifyResults(
         read_subjects(subjects, readable, report, jobs, timeout) if subjects else [],
-        measure_behaviours(BEHAVIOURS, here, report, jobs, timeout) if behaviours else [],
-        settle_subjects(subjects, readable, report, jobs, timeout) if behaviours else [],
+        measure_behaviors(BEHAVIORS, here, report, jobs, timeout) if behaviors else [],
+        settle_subjects(subjects, readable, report, jobs, timeout) if behaviors else [],
     )
 
 
 def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
     from simfoundry.reports.verification import page
     from simfoundry.runtime.files import write_atomically
-    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.behaviors import BEHAVIORS
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
-    text = page(verified.readings, verified.results, BEHAVIOURS, found, pictures, verified.rested)
+    text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
     write_atomically(path, text.encode())
 
 
@@ -201,7 +201,7 @@ def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngi
         "ok": verified.ok,
         "engines": engines,
         "readings": [r.to_json() for r in verified.readings],
-        "behaviours": [m.to_json() for m in verified.results],
+        "behaviors": [m.to_json() for m in verified.results],
         "left_alone": [r.to_json() for r in verified.rested],
     }
 
@@ -218,13 +218,13 @@ def _finite(data: Any) -> Any:
 def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> None:
     from simfoundry.reports.verification import summary
     from simfoundry.verify import tables
-    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.behaviors import BEHAVIORS
 
     readings, results, rested = verified
     if readings:
         click.echo(tables.readings_table(readings, found) + "\n")
     if results:
-        click.echo(tables.behaviours_table(results, BEHAVIOURS, found) + "\n")
+        click.echo(tables.behaviors_table(results, BEHAVIORS, found) + "\n")
     if rested:
         click.echo(tables.rested_table(rested, found) + "\n")
     sections = {

@@ -20,28 +20,25 @@ from simfoundry.assets.cache import Cache
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.expert.grasps import down, grasps
-from simfoundry.evaluate.expert.places import places
+from simfoundry.evaluate.expert.candidates import down, grasps, places
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, physics_steps
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.render.montage import png_bytes, side_by_side
 from simfoundry.render.raycast import raycast
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import jaws
 from simfoundry.runtime.extras import MissingExtraError, need_extra
-from simfoundry.runtime.files import staged, write_atomically, write_files
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_atomically, write_files
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds
-from simfoundry.scene.robot import Robot, mujoco_model
-from simfoundry.scene.robots import lower_robot
+from simfoundry.scene.robot import Robot, lower_robot, mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import find_robot
@@ -222,13 +219,13 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
     tables = [boxes[item.name] for item in scene.objects if item.fixed]
     ground = min(float(boxes[item.name][0][2]) for item in scene.objects if not item.fixed)
     seen_from = scene.cameras[0].X_WC.p - middle if scene.cameras else np.array([-1.0, 0.0, 0.0])
-    towards = math.atan2(seen_from[1], seen_from[0])
+    toward = math.atan2(seen_from[1], seen_from[0])
     arm = find_robot(ARM)
     assert arm is not None
     found: list[tuple[bool, int, Array, float]] = []
     for side in SIDES:
         for near in NEAR:
-            angle = towards + math.radians(side)
+            angle = toward + math.radians(side)
             base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
             away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
             if min(away) < NEAREST or max(away) > arm.reach - MARGIN:
@@ -276,11 +273,11 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
     """Text of the captured scene with the arm and a camera that shows both."""
-    towards = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
-    aside = np.array([-towards[1], towards[0], 0.0])
+    toward = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
+    aside = np.array([-toward[1], toward[0], 0.0])
     # From the front and slightly from the side, at a distance [m] that shows the arm and its targets.
-    eye = idea.base + 1.6 * towards + 0.8 * aside + np.array([0.0, 0.0, 0.8])
-    look = idea.base + 0.27 * towards + np.array([0.0, 0.0, 0.3])
+    eye = idea.base + 1.6 * toward + 0.8 * aside + np.array([0.0, 0.0, 0.8])
+    look = idea.base + 0.27 * toward + np.array([0.0, 0.0, 0.3])
     base = Path(os.path.relpath(scene_file.resolve(), out.resolve())).as_posix()
     return (
         f"# {scene.name}, with an arm beside it\nsimfoundry: scene/1\nname: {scene.name}_arm\nextends: {base}\n"

@@ -19,12 +19,17 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, checked_actions
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
-from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress
-from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
+from simfoundry.evaluate.rollouts.control import (
+    Controller,
+    check_cameras,
+    physics_steps,
+    pictures,
+    readings,
+)
+from simfoundry.evaluate.rollouts.rollout import Progress
+from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
@@ -113,7 +118,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Apply one action; raises :class:`SimfoundryError` if its length is wrong or a number is not finite."""
         now, task = self._now, self._now.task
-        self._controller.apply(checked_action(action, now.robots))
+        self._controller.apply(checked_actions(action, now.robots, "the action", single=True))
         now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
         self._steps += 1
         self._trouble = now.world.trouble()

@@ -13,16 +13,15 @@ from typing import Any
 from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.evaluate.entries import Contender, TaskEntry, TaskPart
+from simfoundry.evaluate.entries import Contender, ExpertChoice, TaskEntry, TaskPart, open_policy
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choice import ExpertChoice, open_policy
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.rollouts.observation import check_cameras
+from simfoundry.evaluate.rollouts.control import check_cameras
 from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, Video, rollout
 from simfoundry.evaluate.rollouts.videos import whole_picture
-from simfoundry.evaluate.statistics.pools import cousin_of
 from simfoundry.evaluate.statistics.records import RecordSlot, check_layout, is_result
-from simfoundry.evaluate.tasks.task import Task, need_robots
+from simfoundry.evaluate.statistics.results import cousin_of
+from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
 from simfoundry.scene.robot import FILES_ONLY, Robot

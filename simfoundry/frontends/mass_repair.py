@@ -1,4 +1,4 @@
-"""Repair masses for simulators: merge massless frames into their neighbours, and make every inertia valid."""
+"""Repair masses for simulators: merge massless frames into their neighbors, and make every inertia valid."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
 
 
 def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
-    """Merge links without a mass into their neighbours at fixed joints."""
+    """Merge links without a mass into their neighbors at fixed joints."""
     for link in list(body.links.values()):
         if link.mass or link.density is not None:
             continue
@@ -93,7 +93,7 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
     for part in child.parts:
         part.X_LG = joint.X_PC @ part.X_LG
         part.name = child.name if len(child.parts) == 1 else f"{child.name}_{part.name}"
-        part.contact = part.contact.or_else(child.contact)
+        part.contact = child.contact | part.contact
     parent.parts += child.parts
     _remove_link(draft, body, child.name, parent.name, joint)
 
@@ -228,7 +228,7 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
     if moments[0] > 0 and excess <= moments[2] * 1e-9:  # rounding of double precision
         if math.sqrt(float(moments[2]) / link.mass) <= WIDEST_GYRATION or draft.format == "MJCF":
             return
-        reason, detail = "only something many metres wide has it", f"{detail} for {link.mass:.3g} kg"
+        reason, detail = "only something many meters wide has it", f"{detail} for {link.mass:.3g} kg"
     elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
         link.inertia = LEAST_INERTIA * np.eye(3)
         draft.changed(what, "it has a mass and no inertia; it is fixed, so it stays a point")

@@ -265,7 +265,7 @@ def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
         p = scene.object(name).X_WO.p
         half = [max(abs(end - float(p[k])) for end in ends) for k, ends in enumerate((region.x, region.y))]
         if any(abs(abs(ends[0] - p[k]) - abs(ends[1] - p[k])) > 1e-6 for k, ends in enumerate((region.x, region.y))):
-            export.notes.append(f"region of `{name}`: it is not centred on the scene's pose, and becomes wider")
+            export.notes.append(f"region of `{name}`: it is not centered on the scene's pose, and becomes wider")
         widths[name] = [round(h, 6) for h in half] + [0.0]
         turn = math.radians(max(abs(y) for y in region.yaw_deg))
         if turn:

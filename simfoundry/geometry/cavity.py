@@ -40,9 +40,9 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """Signed depth [m] at cell centres, float32, shape (x, y, z); positive in the cavity or in its walls.
+    """Signed depth [m] at cell centers, float32, shape (x, y, z); positive in the cavity or in its walls.
 
-    ``low`` [m] is the centre of the first cell in the link's frame, shape (3,); ``cell`` [m] is the side of a cell.
+    ``low`` [m] is the center of the first cell in the link's frame, shape (3,); ``cell`` [m] is the side of a cell.
     ``up`` is the axis of the link that points up, a unit vector, and ``deep`` [m] is the depth along it. ``out`` is the
     direction of the opening, a unit vector, or zero if the cavity is closed or open on opposite sides. ``middle`` and
     ``size`` [m] describe a bounding ball.
@@ -108,7 +108,7 @@ class _Key:
 
 @lru_cache(maxsize=256)
 def _grid(key: _Key) -> tuple[NDArray[np.float32], Array, float] | None:
-    """Return a grid around a link: cell distances outside it, the centre of the first cell, and the cell size [m]."""
+    """Return a grid around a link: cell distances outside it, the center of the first cell, and the cell size [m]."""
     form = key.form
     if not form.solid or len(form.parts.radius) < 2:  # a single convex part has no cavity
         return None

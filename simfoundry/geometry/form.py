@@ -75,7 +75,7 @@ class Form:
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
-        """Bounding ball: centre [m], shape (3,), and radius [m]."""
+        """Bounding ball: center [m], shape (3,), and radius [m]."""
         middle = (self.low[:3] + self.high[:3]) / 2
         points, radius = self.support(1)
         return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())

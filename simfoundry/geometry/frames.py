@@ -36,7 +36,7 @@ class Pose:
 
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
-        """Build a pose from any position and any non-zero quaternion (normalised, with ``w >= 0``)."""
+        """Build a pose from any position and any non-zero quaternion (normalized, with ``w >= 0``)."""
         w, x, y, z = map(float, q)  # four numbers: plain Python is faster than arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
@@ -51,6 +51,11 @@ class Pose:
         matrix = np.asarray(matrix, dtype=np.float64)
         p = matrix[:3, 3] if matrix.shape == (4, 4) else np.zeros(3)
         return cls.of(p, quat_from_matrix(matrix[:3, :3]))
+
+    @classmethod
+    def about(cls, axis: Array, angle: float) -> Pose:
+        """Build a rotation by ``angle`` [rad] about a unit axis, shape (3,)."""
+        return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
 
     @property
     def matrix(self) -> Array:
@@ -84,6 +89,10 @@ class Pose:
     def apply(self, points: Array) -> Array:
         """Map points from B to A, shape (..., 3)."""
         return np.asarray(points) @ self.rotation.T + self.p
+
+    def angle_about(self, axis: Array) -> float:
+        """The angle [rad] of the part of the rotation that is about a unit axis, shape (3,), in [-pi, pi]."""
+        return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
         """The angle between the two rotations [rad], in [0, pi]."""

@@ -5,7 +5,7 @@ clearance beside the grasped part, from its tip upward. The pads make contact fi
 their tips, is widest. A grasp counts if it can hold:
 
 * at least one pad lies flat on the object over the width of the pad (:data:`UNEVEN`); the other may touch a ridge,
-* both pads touch faces that are oriented towards them (:data:`FACING`), and
+* both pads touch faces that are oriented toward them (:data:`FACING`), and
 * the object does not narrow upward between them (:data:`WEDGE`): a ball is held at its equator, a plate's rim is not.
 
 Only the shape is considered; reachability and neighboring objects are checked elsewhere.
@@ -45,7 +45,7 @@ SOLE = 0.001
 """Least height of the fingertips above the bottom of an object [m], which usually stands on a surface."""
 
 UPRIGHT = 1e-3
-"""Largest vertical component of the unit normal of an upright face: a slope of a millimetre per metre."""
+"""Largest vertical component of the unit normal of an upright face: a slope of a millimeter per meter."""
 
 UNEVEN = 0.25
 """Depth by which a face may recede over the width of a pad, as a share of that width: 14 degrees, within the friction
@@ -81,7 +81,7 @@ class _Run(NamedTuple):
 def grasp_width(solid: HalfSpaces) -> float:
     """Return the least opening [m] of two fingers from above that hold an object in its pose; inf if none does.
 
-    The width is measured between the outermost points of the grasped part, on lines a few millimetres apart.
+    The width is measured between the outermost points of the grasped part, on lines a few millimeters apart.
     """
     best, first = math.inf, _main_direction(solid)
     for k in range(DIRECTIONS):

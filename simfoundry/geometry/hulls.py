@@ -60,7 +60,7 @@ class Hulls:
         return (self.corners - radius).min(axis=0), (self.corners + radius).max(axis=0)
 
     def middle(self, rotation: Array) -> Array:
-        """Centre [m] of the bounding box of all parts along the columns of ``rotation``, shape (3,)."""
+        """Center [m] of the bounding box of all parts along the columns of ``rotation``, shape (3,)."""
         return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
 
     def size(self) -> Array:

@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import PROUD
 
 ROUNDING = 1e-9
-"""Rounding errors of coordinates of a few metres [m]."""
+"""Rounding errors of coordinates of a few meters [m]."""
 
 FEW_EDGES = 24
 """Total number of edges of both parts up to which cross products of edges are tested; a box has twelve."""

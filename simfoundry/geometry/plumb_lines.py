@@ -185,8 +185,8 @@ def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
     share = np.clip(np.einsum("mi,mi->m", away_level, level) / np.where(square > 0, square, 1.0), 0.0, 1.0)
     within = radius - np.linalg.norm(away_level - share[:, None] * level, axis=1)
     low, high = np.full(len(part), np.inf), np.full(len(part), -np.inf)
-    for centre in (first, last):
-        found = _ball_chord(points - centre, up, radius)
+    for center in (first, last):
+        found = _ball_chord(points - center, up, radius)
         low, high = np.fmin(low, found[0]), np.fmax(high, found[1])
     length = np.linalg.norm(along, axis=1)
     way = along / np.where(length > 0, length, 1.0)[:, None]

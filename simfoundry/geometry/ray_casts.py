@@ -100,7 +100,7 @@ def area_normals(corners: Array) -> Array:
 
 
 def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
-    """Rays through ``samples`` x ``samples`` points per pixel, in row-major order; pixel centres are integers."""
+    """Rays through ``samples`` x ``samples`` points per pixel, in row-major order; pixel centers are integers."""
     step = 1.0 / samples
     u = (np.arange(width * samples) + 0.5) * step - 0.5
     v = (np.arange(height * samples) + 0.5) * step - 0.5

@@ -14,21 +14,21 @@ from simfoundry.geometry.frames import Array
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box centred on its frame; ``size`` is its full extents [m], shape (3,)."""
+    """A box centered on its frame; ``size`` is its full extents [m], shape (3,)."""
 
     size: Array
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere centred on its frame; ``radius`` [m]."""
+    """A sphere centered on its frame; ``radius`` [m]."""
 
     radius: float
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along z, centred on its frame; ``radius`` and full ``height`` [m]."""
+    """A cylinder along z, centered on its frame; ``radius`` and full ``height`` [m]."""
 
     radius: float
     height: float
@@ -36,7 +36,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A capsule along z, centred on its frame; ``height`` [m] is that of the cylindrical part, without the caps."""
+    """A capsule along z, centered on its frame; ``height`` [m] is that of the cylindrical part, without the caps."""
 
     radius: float
     height: float

@@ -56,7 +56,7 @@ def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> 
 
     The profile starts and ends on the axis, from the top down the outside to the bottom.
     """
-    from simfoundry.assets.lathe import lathe_mesh
+    from simfoundry.assets.solids import lathe_mesh
 
     return closed_mesh(*lathe_mesh(np.asarray(profile, dtype=np.float64), segments))
 

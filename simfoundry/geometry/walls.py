@@ -12,6 +12,10 @@ from simfoundry.geometry.hulls import Hulls
 DIRECTIONS = 16
 """Number of directions in which walls are searched."""
 
+_ANGLES = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
+LEVEL_RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(DIRECTIONS)])
+"""Unit vectors in these level directions, shape (DIRECTIONS, 3)."""
+
 WALLED = 8
 """Number of :data:`DIRECTIONS` with walls from which a point counts as inside."""
 
@@ -29,11 +33,9 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
     """Return True if walls of the container surround at least half the sides of an object, at its base or higher."""
     bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
     lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
-    angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
-    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
     for share in LEVELS:
         start = np.array([lowest[0], lowest[1], bottom + FOOT + share * (top - bottom)])
-        if np.isfinite(free_distances(container, start, rays)).sum() >= WALLED:
+        if np.isfinite(free_distances(container, start, LEVEL_RAYS)).sum() >= WALLED:
             return True
     return False
 

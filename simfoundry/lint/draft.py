@@ -17,8 +17,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.distances import Distances
-from simfoundry.predicates.judging.states import StateBatch
-from simfoundry.predicates.judging.view import View
+from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_cameras
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls

@@ -31,7 +31,7 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
     draft = subject.scene
     silent = {frozenset(pair) for pair in draft.spec.no_contact}
     found = 0
-    for a, b in neighbours(draft)[:MOST_MEASURED]:
+    for a, b in neighbors(draft)[:MOST_MEASURED]:
         if (a.fixed and b.fixed) or frozenset((a.name, b.name)) in silent or _is_placed_on(draft, a, b):
             continue
         if draft.distance(a.name, b.name, -DEEP) < -DEEP:
@@ -41,7 +41,7 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
                 return
 
 
-def neighbours(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
+def neighbors(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
     """Pairs of objects with known parts whose boxes overlap by more than :data:`DEEP`."""
     items = [item for item in draft.solids if item.name not in draft.approximate]
     if not items:

@@ -14,7 +14,7 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.robot import RobotSpec
 
 SLACK = 0.001
-"""Excess width [m] over the opening that still fits: openings are given in whole millimetres."""
+"""Excess width [m] over the opening that still fits: openings are given in whole millimeters."""
 
 
 def too_wide(subject: Subject) -> Iterator[Diagnostic]:

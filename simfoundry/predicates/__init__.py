@@ -1,7 +1,7 @@
 """Predicates: spatial relations and states of objects, judged equally on the state of every simulator.
 
-Each predicate is one module of this package; :mod:`~simfoundry.predicates.judging` measures and judges. ``simfoundry
-check`` also imports these modules and must not load numpy, so the judge is imported on first use.
+Each module of this package defines related predicates; :mod:`~simfoundry.predicates.judging` measures and judges.
+``simfoundry check`` also imports these modules and must not load numpy, so the judge is imported on first use.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from simfoundry.geometry.poses import Poses
     from simfoundry.predicates.judging.bodies import PredicateError
     from simfoundry.predicates.judging.judge import Judge, Verdict
-    from simfoundry.predicates.judging.states import StateBatch
+    from simfoundry.predicates.judging.view import StateBatch
 
 _MODULES = {
     "Judge": "simfoundry.predicates.judging.judge",
     "Poses": "simfoundry.geometry.poses",
     "PredicateError": "simfoundry.predicates.judging.bodies",
-    "StateBatch": "simfoundry.predicates.judging.states",
+    "StateBatch": "simfoundry.predicates.judging.view",
     "Verdict": "simfoundry.predicates.judging.judge",
 }
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.runtime.files import write_atomically
-from simfoundry.runtime.outputs import MARK
+from simfoundry.runtime.files import MARK, write_atomically
 
 Image = NDArray[np.uint8]
 """An sRGB image, uint8, shape (h, w, 3)."""

@@ -165,9 +165,9 @@ def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.b
     if not len(points) or not len(surface.corners):
         return shadow
     low, high = surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))
-    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-9
-    origin = centre + DISTANT * radius * lamp.p if lamp.distant else lamp.p
-    aim = centre if float(np.linalg.norm(centre - origin)) > 1e-6 else origin - np.array([0.0, 0.0, 1.0])
+    center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-9
+    origin = center + DISTANT * radius * lamp.p if lamp.distant else lamp.p
+    aim = center if float(np.linalg.norm(center - origin)) > 1e-6 else origin - np.array([0.0, 0.0, 1.0])
     R_LW = look_at(origin, aim).rotation.T
     local = turned(R_LW, points - origin)
     reached = np.flatnonzero(local[:, 2] > NEAREST)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.reports.labels import Label, place_labels
+from simfoundry.reports.pictures import Label, place_labels
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.poses import motion, words
@@ -29,10 +29,10 @@ COLORS = {
     "removed": (0xE0, 0x31, 0x31),
     "changed": (0x1C, 0x7E, 0xD6),
 }
-"""Colours of the marks in pictures and in the list (sRGB bytes)."""
+"""Colors of the marks in pictures and in the list (sRGB bytes)."""
 
 SEEN_M, SEEN_DEG = 5e-4, 0.1
-"""Smallest indirect move that is reported: half a millimetre and a tenth of a degree; smaller ones result from solving
+"""Smallest indirect move that is reported: half a millimeter and a tenth of a degree; smaller ones result from solving
 a placement again."""
 
 
@@ -92,7 +92,8 @@ def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) 
             continue
         told = words(found)
         if entry is None:
-            entries.append(MemberChange("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
+            verbs = (*told, "along with the object that its place refers to")
+            entries.append(MemberChange("objects", item.name, "", ("moved",), verbs, ()))
         else:
             marks = ("moved", *entry.marks)
             entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))

@@ -20,7 +20,7 @@ PATHS = {
     "plus": "M-6 0H6M0-6V6",
     "star": "M0-7L2-2H7L3 1.5L4.5 7L0 3.5L-4.5 7L-3 1.5L-7-2H-2Z",
 }
-"""Markers of tasks, as SVG paths centred at the origin."""
+"""Markers of tasks, as SVG paths centered at the origin."""
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:

@@ -9,11 +9,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
 from simfoundry.evaluate.statistics.metrics import Rate
-from simfoundry.evaluate.statistics.pools import RatePool, comparisons, pool_rows, pools
 from simfoundry.evaluate.statistics.records import is_result
-from simfoundry.evaluate.statistics.results import MANY, ScoreRow, cell_key, cells, titles
+from simfoundry.evaluate.statistics.results import (
+    MANY,
+    RatePool,
+    ScoreRow,
+    cell_key,
+    cells,
+    pool_rows,
+    pools,
+    titles,
+)
 from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
@@ -53,7 +61,7 @@ def page(records: Sequence[Record], title: str = "Evaluation") -> str:
         sources="'self'",
         facts=_conditions(records),
         pools={"policies": _policies(p.policy for p in pooled), "rows": list(_pool_rows(pooled))} if pooled else None,
-        pairs=comparisons(records),
+        pairs=compare_policies(records),
         policies=_policies(policy for here in named.values() for policy in here),
         tasks=list(_task_rows(named)),
         engines=sorted(compare_engines(records), key=lambda one: not one.disagrees),

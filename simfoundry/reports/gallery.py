@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.run.log import Reader
-from simfoundry.cousins.run.report import FILE, draw, examples, summary
-from simfoundry.cousins.run.run import Ledger, RunPlan
+from simfoundry.cousins.run.report import draw, examples, summary
+from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
 from simfoundry.reports.render import render
 from simfoundry.runtime.files import write_atomically
 
@@ -69,5 +68,5 @@ def page(
         pictures=pictures,
         reasons=reasons,
         variants=variants,
-        file=FILE,
+        file=MANIFEST,
     )

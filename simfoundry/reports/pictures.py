@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import colorsys
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.render.raycast import raycast
 from simfoundry.render.surface import scene_surface
-from simfoundry.scene.bodies import GREY
+from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480
@@ -82,14 +82,14 @@ def tints_of(names: Iterable[str]) -> dict[str, Tint]:
 
 
 def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
-    """Return an object with its default-grey parts tinted; fixed objects stay grey, as a background."""
+    """Return an object with its default-gray parts tinted; fixed objects stay gray, as a background."""
     if tint is None or item.fixed:
         return item
     rgba = frozen_array((*tint, 1.0))
     links = [
         replace(
             link,
-            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GREY else v for v in link.visuals),
+            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GRAY else v for v in link.visuals),
         )
         for link in item.links
     ]
@@ -114,7 +114,7 @@ def _shrunk(camera: Camera) -> Camera:
         height=height,
         fx=camera.fx * x,
         fy=camera.fy * y,
-        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are integers
+        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centers are integers
         cy=(camera.cy + 0.5) * y - 0.5,
     )
 
@@ -125,11 +125,11 @@ def _overview(scenes: list[Scene]) -> Camera:
     points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
     cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
-    centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
+    center, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
     away = np.array(FROM) / np.linalg.norm(FROM)
-    eye = centre + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
+    eye = center + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
     focal = HEIGHT / 2 / np.tan(np.radians(VIEW_DEG / 2))
-    X_WC = look_at(eye, centre)
+    X_WC = look_at(eye, center)
     return Camera("overview", WIDTH, HEIGHT, float(focal), float(focal), (WIDTH - 1) / 2, (HEIGHT - 1) / 2, X_WC)
 
 
@@ -161,3 +161,73 @@ def _png(image: Image) -> bytes:
     out = io.BytesIO()
     Pillow.fromarray(image).save(out, format="PNG", optimize=True)
     return out.getvalue()
+
+
+FONT = 0.024
+"""Font size as a fraction of the image width: 15 px if two images share a wide page."""
+
+LONGEST = 24
+"""Length from which names are truncated with dots: a third of a picture's width."""
+
+_LETTER, _PADDING, _LINE, _GAP = 0.64, 1.0, 1.5, 0.2
+"""Character width of the widest common fonts, padding of a name on both sides, height of a label, and least gap between
+two, all as shares of the font size."""
+
+_ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
+"""Sideways shifts of a label, as shares of its width; below 0.5, so that the line to its object starts under it."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Label with its middle at ``x`` and its lower edge at ``y``, of size ``width`` and ``height``.
+
+    A line goes down to the object ``thing`` at (``thing_x``, ``thing_y``). All values are shares of the picture.
+    """
+
+    name: str
+    x: float
+    y: float
+    width: float
+    height: float
+    thing_x: float
+    thing_y: float
+
+    @property
+    def text(self) -> str:
+        """Name, shortened if it is long."""
+        return self.name if len(self.name) <= LONGEST else f"{self.name[: LONGEST - 1]}…"
+
+    def meets(self, other: Label) -> bool:
+        """Return whether two labels overlap."""
+        return (
+            abs(self.x - other.x) < (self.width + other.width) / 2
+            and self.y - self.height < other.y
+            and other.y - other.height < self.y
+        )
+
+
+def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
+    """Return a label for each tag, above its object if there is space; tags without space are left out.
+
+    ``aspect`` is the width of the picture divided by its height.
+    """
+    placed: list[Label] = []
+    for tag in sorted(tags, key=lambda t: (-t.y, t.x, t.name)):  # objects in front keep their labels close
+        free = (label for label in _candidates(tag, aspect) if not any(map(label.meets, placed)))
+        label = next(free, None)
+        if label is not None:
+            placed.append(label)
+    return placed
+
+
+def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
+    """Yield positions of a label inside the picture, nearest first: above its object, then below."""
+    height = (_LINE + _GAP) * FONT * aspect
+    width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
+    above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)
+    for step in (*range(above), *range(-1, -below, -1)):
+        y = tag.y - (step + 0.25) * height
+        for aside in _ASIDE:
+            x = min(max(tag.x + aside * width, width / 2), 1 - width / 2)
+            if height <= y <= 1:
+                yield Label(tag.name, x, y, width, height, tag.x, tag.y)

@@ -7,7 +7,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.runtime.outputs import MARK
+from simfoundry.runtime.files import MARK
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -7,10 +7,10 @@ from typing import TypeVar
 
 from simfoundry.reports.render import render
 from simfoundry.verify import tables
-from simfoundry.verify.behaviours import Behaviour
+from simfoundry.verify.behaviors import Behavior
 from simfoundry.verify.engines import InstalledEngine
 from simfoundry.verify.rest import RestResult
-from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
+from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult
 
 _LEGEND = {
     ProofStatus.OK: "ok",
@@ -20,13 +20,13 @@ _LEGEND = {
 }
 
 
-C = TypeVar("C", BehaviourResult, ReadbackResult, RestResult)
+C = TypeVar("C", BehaviorResult, ReadbackResult, RestResult)
 
 
 def page(
     readings: Sequence[ReadbackResult],
-    results: Sequence[BehaviourResult],
-    behaviours: Sequence[Behaviour],
+    results: Sequence[BehaviorResult],
+    behaviors: Sequence[Behavior],
     engines: Mapping[str, InstalledEngine | None],
     pictures: Mapping[str, bytes],
     rested: Sequence[RestResult] = (),
@@ -34,10 +34,10 @@ def page(
     """Return the complete page; ``pictures`` are PNGs by the name of the scene."""
     stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
-    by_name = _rows(((m.behaviour, m) for m in results), stepping)
+    by_name = _rows(((m.behavior, m) for m in results), stepping)
     rows = [
         ({"answer": f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip(), **vars(b)}, by_name.get(b.name, {}))
-        for b in behaviours
+        for b in behaviors
     ]
     return render(
         "verification.html.j2",
@@ -49,7 +49,7 @@ def page(
         rest_engines=rest_engines,
         readings=_rows(((r.subject, r) for r in readings), engines),
         differing=[r for r in readings if r.comparison is None or r.comparison.mismatches],
-        behaviours=[(b, {**dict.fromkeys(stepping), **row}) for b, row in rows] if results else [],
+        behaviors=[(b, {**dict.fromkeys(stepping), **row}) for b, row in rows] if results else [],
         rested=_rows(((r.subject, r) for r in rested), rest_engines),
         known=tables.known_lines(readings, results),
         stale=tables.stale_lines(readings),
@@ -72,18 +72,18 @@ def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, d
 
 
 def summary(
-    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult] = ()
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviorResult], rested: Sequence[RestResult] = ()
 ) -> str:
     """Return one sentence with the numbers of comparisons and of errors."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
-    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
+    outcomes: list[ReadbackResult | BehaviorResult | RestResult] = [*readings, *results, *rested]
     failed = sum(o.verdict is ProofStatus.FAILED for o in outcomes)
     off = sum(m.verdict is ProofStatus.MISMATCH for m in results)
     text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
     if results:
-        text += f"; {len(results)} behaviours measured, {off} are off without a known reason"
+        text += f"; {len(results)} behaviors measured, {off} are off without a known reason"
     if rested:
         apart = sum(r.verdict is ProofStatus.MISMATCH for r in rested)
         text += f"; {len(rested)} scenes simulated for 2 s, {apart} end in a different state than in other engines"

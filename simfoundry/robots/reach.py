@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10
@@ -166,7 +165,7 @@ class ArmReach:
 
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
         """Return true if the hand reaches the start of its approach and moves from there to the grasp."""
-        starts = (_towards(arm, hand), arm.home)
+        starts = (_toward(arm, hand), arm.home)
         for turn in _hand_turns(side):
             before = Pose.of(hand + OVER * way, turn)
             for start in starts:
@@ -188,7 +187,7 @@ def _hand_turns(side: Array) -> list[Array]:
     return [Pose.from_matrix(np.column_stack([x, np.cross(-side, x), -side])).q for x in across]
 
 
-def _towards(arm: Arm, hand: Array) -> Array:
+def _toward(arm: Arm, hand: Array) -> Array:
     """Return the home configuration with the first joint rotated to turn the hand toward its target.
 
     This is a good start if the axis of that joint is vertical, as in most arms, and does no harm otherwise.

@@ -29,7 +29,6 @@ T = TypeVar("T")
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
     "simfoundry.lints": "lint",
-    "simfoundry.models": "model",
     "simfoundry.policies": "policy protocol",
     "simfoundry.predicates": "predicate",
     "simfoundry.robots": "robot",

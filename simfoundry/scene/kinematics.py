@@ -1,14 +1,15 @@
-"""Forward kinematics of an object: the poses of its links at given joint positions."""
+"""Kinematics of an object: poses of its links, its trees, effective inertias, and pairs of links that can touch."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from simfoundry.geometry.frames import IDENTITY, Pose
-from simfoundry.scene.model import Joint, JointType, SceneObject
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.scene.model import Joint, JointType, Link, SceneObject
 
 
 def joint_transform(joint: Joint, position: float | Pose) -> Pose:
@@ -19,8 +20,7 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
         case JointType.PRISMATIC:
             return Pose.of(joint.axis * position)
         case JointType.REVOLUTE | JointType.CONTINUOUS:
-            half = position / 2
-            return Pose.of(q=np.concatenate([[math.cos(half)], math.sin(half) * joint.axis]))
+            return Pose.about(joint.axis, position)
     return IDENTITY
 
 
@@ -38,3 +38,166 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
             position = joints.get(joint.name, position)
         poses[link.name] = poses[joint.parent] @ joint.X_PC @ joint_transform(joint, position)
     return poses
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Links of an object connected by constraining joints; the first is the root.
+
+    ``free_joint`` is the free joint above the root, None if the root is the object's own; ``joints`` are those within
+    the tree. ``X_WT`` is the pose of the root link's frame in the world.
+    """
+
+    owner: SceneObject
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    free_joint: Joint | None
+    X_WT: Pose
+
+    @property
+    def root(self) -> Link:
+        """First link: the object's root link, or the child of a free joint."""
+        return self.links[0]
+
+    @property
+    def name(self) -> str:
+        """Qualified name of the root: the object's own name, or ``object.link``."""
+        return self.owner.qualified(self.root.name)
+
+    @property
+    def fixed(self) -> bool:
+        """True if the root is welded to the world."""
+        return self.owner.fixed and self.free_joint is None
+
+
+def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT: Mapping[str, Pose]) -> dict[str, Pose]:
+    """Motions of an object's free joints, by name, from the poses ``X_OT`` of the links below them, by name.
+
+    ``positions`` are those of its other joints.
+    """
+    known, motions = dict(positions), dict[str, Pose]()
+    for joint in (tree.free_joint for tree in trees(item)):
+        if joint is not None:
+            X_OZ = link_poses(item, known)[joint.parent] @ joint.X_PC
+            known[joint.name] = motions[joint.name] = X_OZ.inverse() @ X_OT[joint.child]
+    return motions
+
+
+def trees(item: SceneObject) -> tuple[Tree, ...]:
+    """Trees of an object in the order of their roots; a single one if it has no free joint."""
+    free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
+    if not free:
+        return (Tree(item, item.links, item.joints, None, item.X_WO),)
+    X_OL = link_poses(item)
+    carriers = {joint.child: joint for joint in item.joints}
+    roots: dict[str, str] = {}
+    for link in item.links:
+        is_root = link is item.root or link.name in free
+        roots[link.name] = link.name if is_root else roots[carriers[link.name].parent]
+    return tuple(
+        Tree(
+            owner=item,
+            links=tuple(link for link in item.links if roots[link.name] == root),
+            joints=tuple(j for j in item.joints if j.type is not JointType.FREE and roots[j.child] == root),
+            free_joint=free.get(root),
+            X_WT=item.X_WO @ X_OL[root],
+        )
+        for root in dict.fromkeys(roots.values())
+    )
+
+
+def effective_inertias(tree: Tree) -> dict[str, float]:
+    """Inertia felt by a force at each one-axis joint in the initial state [kg m^2 or kg], by joint name.
+
+    All other joints move freely, without friction or motors, so this is the smallest possible value.
+    """
+    columns, names = _columns(tree)
+    mass_matrix = np.zeros((len(columns), len(columns)))
+    X_OL = link_poses(tree.owner)
+    carried = _carried(tree)
+    for link in tree.links:
+        rotation = X_OL[link.name].rotation
+        com, turned = X_OL[link.name].apply(link.com), rotation @ link.inertia @ rotation.T
+        linear, angular = np.zeros((3, len(columns))), np.zeros((3, len(columns)))
+        for k, (joint, point, axis, slides) in enumerate(columns):
+            if joint is None or joint.name in carried[link.name]:
+                linear[:, k] = axis if slides else np.cross(axis, com - point)
+                angular[:, k] = 0.0 if slides else axis
+        mass_matrix += link.mass * linear.T @ linear + angular.T @ turned @ angular
+    mass_matrix += np.diag([0.0 if joint is None else joint.armature for joint, *_ in columns])
+    felt = 1.0 / np.diag(np.linalg.inv(mass_matrix)) if columns else np.zeros(0)
+    return {name: float(value) for name, value in zip(names, felt, strict=True) if name}
+
+
+_Column = tuple[Joint | None, Array, Array, bool]
+"""One degree of freedom: the joint, or None for the free root; a point on its axis, the axis, and whether it slides."""
+
+
+def _columns(tree: Tree) -> tuple[list[_Column], list[str]]:
+    """Degrees of freedom of a tree, in the object's frame, and the joint of each that has one axis."""
+    X_OL = link_poses(tree.owner)
+    columns: list[_Column] = []
+    names: list[str] = []
+    if not tree.fixed:
+        origin = X_OL[tree.root.name].p
+        columns += [(None, origin, axis, slides) for slides in (True, False) for axis in np.eye(3)]
+    names += [""] * len(columns)
+    for joint in tree.joints:
+        origin, rotation = X_OL[joint.child].p, X_OL[joint.child].rotation
+        if joint.type is JointType.BALL:
+            columns += [(joint, origin, axis, False) for axis in rotation.T]
+            names += [""] * 3
+        elif joint.has_axis:
+            columns.append((joint, origin, rotation @ joint.axis, joint.type is JointType.PRISMATIC))
+            names.append(joint.name)
+    return columns, names
+
+
+def _carried(tree: Tree) -> dict[str, frozenset[str]]:
+    """Joints between the root and each link, by link."""
+    above: dict[str, frozenset[str]] = {tree.root.name: frozenset()}
+    carriers = {joint.child: joint for joint in tree.joints}
+    for link in tree.links[1:]:
+        joint = carriers[link.name]
+        above[link.name] = above[joint.parent] | {joint.name}
+    return above
+
+
+def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
+    """Pairs of links of an object without contacts, by name, in the order of the links."""
+    if len(item.links) == 1:
+        return ()
+    welded = weld_groups(item)
+    joined = {
+        frozenset((welded[joint.parent], welded[joint.child]))
+        for joint in item.joints
+        if joint.type is not JointType.FREE
+    }
+    named = {frozenset(pair) for pair in item.no_contact}
+    return tuple(
+        (a.name, b.name)
+        for a, b in combinations(item.links, 2)
+        if welded[a.name] == welded[b.name]
+        or frozenset((welded[a.name], welded[b.name])) in joined
+        or frozenset((a.name, b.name)) in named
+    )
+
+
+def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
+    """Pairs of links of an object that can be in contact, by name, in the order of the links."""
+    if len(item.links) == 1:
+        return ()
+    silent = set(excluded_link_pairs(item))
+    felt = [link.name for link in item.links if link.colliders]
+    return tuple(pair for pair in combinations(felt, 2) if pair not in silent)
+
+
+def weld_groups(item: SceneObject) -> dict[str, str]:
+    """For each link, the first link of the group that is welded to it."""
+    groups: dict[str, str] = {}
+    carriers = {joint.child: joint for joint in item.joints}
+    for link in item.links:
+        joint = carriers.get(link.name)
+        welded = joint is not None and joint.type is JointType.FIXED
+        groups[link.name] = groups[joint.parent] if joint is not None and welded else link.name
+    return groups

@@ -24,10 +24,10 @@ from simfoundry.scene.model import (
     Relation,
     Scene,
     SceneObject,
+    Source,
 )
 from simfoundry.scene.objects import ObjectLowering, Progress
-from simfoundry.scene.poses import pose as pose
-from simfoundry.scene.source import Source
+from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
@@ -223,8 +223,8 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
     spec = lowering.spec
     if not spec.robots:
         return scene
-    from simfoundry.scene.robot_packages import NoModelError
-    from simfoundry.scene.robots import lower_robot
+    from simfoundry.scene.robot import lower_robot
+    from simfoundry.scene.robot_files import NoModelError
 
     found, lost = [], []
     for name, item in spec.robots.items():
@@ -257,17 +257,14 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
 
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
     """Lower lights and background, and leave out unusable textures of objects."""
-    from simfoundry.scene.background import lower_background
-
     spec = lowering.spec
-    return replace(
-        scene,
-        lights=tuple(_light(n, s) for n, s in spec.lights.items()),
-        background=None
-        if spec.background is None
-        else lower_background(lowering.loaded, spec.background, pose(spec.background.pose)),
-        left_out=(*scene.left_out, *_plain(lowering.loaded, spec)),
-    )
+    lights = tuple(_light(name, light) for name, light in spec.lights.items())
+    scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_plain(lowering.loaded, spec)))
+    if spec.background is None:
+        return scene
+    from simfoundry.scene.mesh_bodies import lower_background  # loads the readers of meshes and splats
+
+    return replace(scene, background=lower_background(lowering.loaded, spec.background))
 
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:

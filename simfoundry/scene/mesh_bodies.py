@@ -1,8 +1,8 @@
-"""Mesh files as bodies: read and decomposed for a compile, or looked up in the cache for a draft."""
+"""Mesh files as bodies, decomposed for a compile or looked up in the cache for a draft, and as backgrounds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,15 +19,21 @@ from simfoundry.assets.convex import (
     pack_colliders,
     unpack_colliders,
 )
-from simfoundry.assets.errors import LEAST_VOLUME, implausible_size, no_volume, not_closed
-from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
+from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive
+from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import closed_mesh
-from simfoundry.scene.bodies import MeshUse
+from simfoundry.scene.bodies import GRAY, MeshUse
+from simfoundry.scene.model import Background, Visual
+from simfoundry.scene.state import pose
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.scene import BackgroundSpec
 
 
 class MeshBody(NamedTuple):
@@ -48,10 +54,7 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
-    vertices, faces = weld(vertices, faces)
+    vertices, faces = weld(*merged(pieces))
     solid = None
     if use.solid != "given":
         solid, faces = _solid(path.name, vertices, faces, use.solid)
@@ -97,7 +100,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
     """Primitive that represents a mesh, and its pose in the mesh frame."""
     turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
+    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
     X_GP = Pose.from_matrix(turn)
     match primitive.kind:
         case "box":
@@ -105,7 +108,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
         case "cylinder":
             return Cylinder(*primitive.size), X_GP
         case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.centre)
+            return Sphere(*primitive.size), Pose.of(primitive.center)
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
@@ -123,3 +126,27 @@ def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.Sol
     if solid.volume < LEAST_VOLUME:
         raise no_volume(name)
     return solid, faces
+
+
+def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
+    """Return the background of a scene; raises :class:`SpecError` if its file cannot be used."""
+    key = "mesh" if written.mesh is not None else "splat"
+    path, X_WB = loaded.file(written.mesh or written.splat or ""), pose(written.pose)
+    try:
+        if key == "splat":
+            return Background(X_WB, splat=read_splat(path, written.scale))
+        return Background(X_WB, visuals=tuple(_visuals(path, written.scale)))
+    except MeshError as error:
+        raise SpecError([loaded.finding(error.code, ("background", key), str(error), error.hint)]) from None
+
+
+def _visuals(path: Path, scale: float) -> Iterator[Visual]:
+    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are gray."""
+    pieces = read_parts(path, scale)
+    for k, piece in enumerate(pieces):
+        faces = np.array(piece.faces, dtype=np.int32)
+        faces.setflags(write=False)
+        uv = None if piece.uv is None else frozen(piece.uv)
+        color = piece.rgba or (GRAY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
+        mesh = Mesh(frozen(piece.vertices), faces, uv, piece.texture)
+        yield Visual("mesh" if len(pieces) == 1 else f"mesh_{k}", mesh, frozen(color))

@@ -10,7 +10,7 @@ from simfoundry.geometry.shapes import Mesh
 
 
 def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:
-    """Return a mesh as Wavefront OBJ, in metres, with its texture coordinates (v up) if it has any.
+    """Return a mesh as Wavefront OBJ, in meters, with its texture coordinates (v up) if it has any.
 
     ``material_file`` names an adjacent MTL file whose only material, ``skin``, covers every face.
     """

@@ -21,14 +21,14 @@ from simfoundry.scene.place import PlaceError, approach, misfit
 from simfoundry.spec.models.place import Place
 
 POINTS = 600
-"""Number of surface points whose plumb lines are tested: one every few millimetres on a hand-sized mesh."""
+"""Number of surface points whose plumb lines are tested: one every few millimeters on a hand-sized mesh."""
 
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square."""
 
 RESOLUTION = 0.02
 """Depth, as a share of the longest side, below which a decomposition fills hollows: CoACD splits only hollows that are
-deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.decompose`)."""
+deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`)."""
 
 
 def uncut(item: SceneObject) -> SceneObject:

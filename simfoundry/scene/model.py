@@ -7,17 +7,20 @@ array is float64 and read-only.
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Geometry
-from simfoundry.scene.source import Source
 
 if TYPE_CHECKING:
     from simfoundry.scene.robot import Robot
@@ -60,7 +63,7 @@ class Collider:
 class Link:
     """A rigid body of an object.
 
-    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
+    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the center of mass in link
     axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is the maximum distance between the surface
     of its colliders and the shapes that they approximate; 0 if they are exact.
     """
@@ -331,11 +334,6 @@ def pair_friction(a: float, b: float) -> float:
     return float(np.sqrt(a * b))
 
 
-def pair_restitution(a: float, b: float) -> float:
-    """Restitution of a contact between two surfaces: the geometric mean."""
-    return float(np.sqrt(a * b))
-
-
 def pair_resistance(a: float, b: float) -> float:
     """Torsional or rolling friction [m] of a contact between two surfaces: the larger, as one soft surface suffices."""
     return max(a, b)
@@ -357,3 +355,27 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
     return frozen_array(moments), Pose.from_matrix(axes).q
+
+
+@dataclass(frozen=True)
+class Source:
+    """The document from which a scene was lowered.
+
+    It is opaque to backends, which may store it but must not base decisions on it. ``kind`` is that of the document
+    (``scene/1``), ``file`` is its path in its project, with ``/``. ``data`` is its plain data in canonical order,
+    including everything that it extends: mappings, tuples, texts, numbers.
+    """
+
+    kind: str
+    file: str
+    data: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, file: str, data: Mapping[str, Any]) -> Source:
+        """Freeze the data of a document."""
+        return cls(str(data["simfoundry"]), file, MappingProxyType(dict(data)))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the data, in hex: equal documents have equal digests."""
+        return hashlib.sha256(json.dumps(dict(self.data), ensure_ascii=False).encode()).hexdigest()

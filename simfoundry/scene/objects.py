@@ -15,7 +15,7 @@ from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
-from simfoundry.scene.poses import pose
+from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
@@ -150,7 +150,7 @@ class ObjectLowering:
 
 
 def _topological(spec: AssetSpec) -> Iterator[str]:
-    """Links from the root outwards, siblings in the order of their joints."""
+    """Links from the root outward, siblings in the order of their joints."""
     todo = [next(iter(spec.links))]
     while todo:
         link = todo.pop(0)

@@ -257,8 +257,8 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
 def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
     """Return the error for an object that misses its support or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
-        spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
-        spot = ", ".join(map(_metres, xy))
+        spans = [" to ".join(map(_meters, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
+        spot = ", ".join(map(_meters, xy))
         message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
         return PlaceError(message, f"move it over `{carrier.name}`")
     if where == "inside" and len(set(carrier.part.part)) == 1:
@@ -277,7 +277,7 @@ def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
     return PlaceError(message, "open the container, turn the object, make it smaller or move it")
 
 
-def _metres(value: float) -> str:
+def _meters(value: float) -> str:
     return f"{value:.3f}" if abs(value) < 1e4 else f"{value:.3g}"
 
 

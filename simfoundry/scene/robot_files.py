@@ -1,14 +1,20 @@
-"""Locate the files of a robot model and the files that they reference."""
+"""Locate the files of a robot model and the files that they reference, also in packages that download robots."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from functools import lru_cache
+from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 
-from simfoundry.scene.robot_packages import NoModelError, described_model, menagerie_model
+from simfoundry.runtime.extras import install_line, is_installed
 from simfoundry.spec.files import FileError, located, packaged_model
 
 _TEXTURES = re.compile(r"^\s*(?:map_\w+|bump|disp|norm)\s+(?:-\S+\s+\S+\s+)*(\S.*?)\s*$", re.MULTILINE)
@@ -128,3 +134,137 @@ def companions(mesh: Path) -> Iterator[Path]:
             yield library
             pictures = _TEXTURES.findall(library.read_text(encoding="utf-8", errors="replace"))
             yield from (p for p in ((library.parent / n).resolve() for n in pictures) if p.is_file())
+
+
+_SOURCE = re.compile(r"_?clone_to_cache\(\s*[\"']([^\"']+)[\"']")
+_ATTRIBUTE = {".urdf": "URDF_PATH", ".xml": "MJCF_PATH"}
+
+_DESCRIPTIONS = "robot_descriptions"
+
+
+class NoModelError(Exception):
+    """A missing model; the message is a clause that states what is missing and the remedy.
+
+    ``is_known`` is False if the package that may provide it is not installed; another source's error is then more
+    informative.
+    """
+
+    def __init__(self, message: str, is_known: bool = True) -> None:
+        super().__init__(message)
+        self.is_known = is_known
+
+
+def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
+    """Return the file ``path`` of the robot ``name`` in MuJoCo Menagerie, by default its model.
+
+    With ``fetch`` the official package downloads robots (megabytes) that are not in its cache; without it, they are
+    missing. Raises :class:`NoModelError`.
+    """
+    if not is_installed("mujoco_menagerie"):
+        raise NoModelError(f"install its models with `{install_line('robots')}`", is_known=False)
+    import mujoco_menagerie
+
+    try:
+        robot = mujoco_menagerie.get(name)
+        cache = mujoco_menagerie.Cache()
+        if cache.root is None and not cache.is_cached(robot) and not fetch:
+            raise NoModelError(
+                f"it is not downloaded yet; run `python -m mujoco_menagerie prefetch {name}`, or use it once online"
+            )
+        folder = _fetch(name, str(cache.dir), str(cache.root or ""))
+        if isinstance(folder, Exception):
+            raise folder
+    except mujoco_menagerie.UnknownRobotError as error:
+        raise NoModelError(f"mujoco-menagerie does not know it: {_line(error)}; update that package") from None
+    except (mujoco_menagerie.MenagerieError, OSError) as error:
+        raise NoModelError(f"mujoco-menagerie could not fetch `{name}`: {_line(error)}") from None
+    return _inside(folder, path or robot.entry(robot.default_model).file, f"menagerie:{name}")
+
+
+@lru_cache(maxsize=64)
+def _fetch(name: str, cache: str, root: str) -> Path | Exception:
+    """Return the folder of a robot; a failed download is not retried in this process, as each try takes seconds."""
+    import mujoco_menagerie
+
+    try:
+        return Path(mujoco_menagerie.Cache(cache, root=root).resolve(mujoco_menagerie.get(name)))
+    except (mujoco_menagerie.MenagerieError, OSError) as error:
+        return error
+
+
+def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
+    """Return the file of a description in the package robot_descriptions; ``suffix`` selects one if ``path`` is None.
+
+    The package clones the description's repository on first use; without ``fetch``, a description that is not cloned is
+    missing. Raises :class:`NoModelError`.
+    """
+    if not is_installed(_DESCRIPTIONS):
+        raise NoModelError(f"install its models with `pip install {_DESCRIPTIONS}`", is_known=False)
+    module_name = f"{_DESCRIPTIONS}.{name}"
+    try:
+        if fetch:
+            module = importlib.import_module(module_name)
+        else:
+            _need_cloned(name)
+            with _offline():
+                module = importlib.import_module(module_name)
+    except ModuleNotFoundError:
+        raise NoModelError(f"`{_DESCRIPTIONS}` has no `{name}`; update it") from None
+    except NoModelError:
+        raise
+    except Exception as error:  # git's errors without a network vary
+        raise NoModelError(f"`{_DESCRIPTIONS}` could not fetch `{name}`: {_line(error)}") from None
+    if path is not None:
+        return _inside(Path(module.PACKAGE_PATH), path, f"{_DESCRIPTIONS}:{name}")
+    if (found := getattr(module, _ATTRIBUTE.get(suffix, "USD_PATH"), None)) is None:
+        raise NoModelError(f"`{_DESCRIPTIONS}:{name}` has no {suffix.lstrip('.')} file")
+    return _inside(Path(found).parent, Path(found).name, f"{_DESCRIPTIONS}:{name}")
+
+
+def _need_cloned(name: str) -> None:
+    """Raise :class:`NoModelError` unless the repository of a description has been cloned.
+
+    The package itself cannot answer this without cloning. The module's text names the repository, and the package's
+    table gives its folder.
+    """
+    import sys
+
+    if f"{_DESCRIPTIONS}.{name}" in sys.modules:
+        return
+    spec = find_spec(f"{_DESCRIPTIONS}.{name}")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(name)
+    named = _SOURCE.search(Path(spec.origin).read_text(encoding="utf-8"))
+    table = importlib.import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES
+    folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
+    if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
+        raise NoModelError(f"it is not downloaded yet; run `{_DESCRIPTIONS} pull {name}`, or use it once online")
+
+
+@contextmanager
+def _offline() -> Iterator[None]:
+    """Keep git off the network, and silent, while a description that is already cloned is imported."""
+    before = os.environ.get("GIT_ALLOW_PROTOCOL")
+    os.environ["GIT_ALLOW_PROTOCOL"] = "none"
+    try:
+        with redirect_stdout(StringIO()):
+            yield
+    finally:
+        if before is None:
+            del os.environ["GIT_ALLOW_PROTOCOL"]
+        else:
+            os.environ["GIT_ALLOW_PROTOCOL"] = before
+
+
+def _inside(folder: Path, path: str, name: str) -> Path:
+    target = (folder / path).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise NoModelError(f"`{path}` leaves `{name}`")
+    if not target.is_file():
+        raise NoModelError(f"`{name}` has no file {path}")
+    return target
+
+
+def _line(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__

@@ -1,13 +1,18 @@
-"""Time-varying state of a scene: poses of objects and positions of joints."""
+"""Time-varying state of a scene: poses of objects and positions of joints, read from and written to documents."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from simfoundry.geometry.frames import Pose
+import numpy as np
+
+from simfoundry.geometry.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
+from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +90,66 @@ def _moved(joint: Joint, to: float | Pose | None) -> Joint:
     if to is None:
         return joint
     return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)
+
+
+UPRIGHT_DEG = 0.05
+"""Tilt below which a body is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
+
+STILL = 1e-4
+"""Motion below which a joint keeps its written position [rad or m]."""
+
+
+def pose(spec: PoseSpec) -> Pose:
+    """Return the pose that a document describes."""
+    if spec.quat_wxyz is not None:
+        return Pose.of(spec.xyz, spec.quat_wxyz)
+    if spec.rpy_deg is None and spec.yaw_deg is None:
+        return Pose.of(spec.xyz)
+    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
+    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+
+
+def pose_spec(X_WO: Pose) -> PoseSpec:
+    """Return a pose in readable form: position to 0.1 mm, only yaw if upright, else roll, pitch and yaw."""
+    x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
+    tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
+    if tilt >= UPRIGHT_DEG:
+        return PoseSpec(xyz=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return PoseSpec(xyz=(x, y, z), yaw_deg=yaw) if yaw else PoseSpec(xyz=(x, y, z))
+
+
+def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
+    """Return the spec of ``scene`` with poses and joint positions from ``state`` for free objects and moved joints."""
+    moved = with_poses(spec, state.poses)
+    objects = dict(moved.objects)
+    for item in scene.objects:
+        joints = dict(objects[item.name].joints)
+        for joint in item.joints:
+            motion = state.motions.get(f"{item.name}.{joint.name}", joint.motion)
+            if joint.mimic is not None:
+                continue  # its leader determines its position
+            if float(np.linalg.norm(motion.p - joint.motion.p)) > STILL or motion.angle_to(joint.motion) > STILL:
+                joints[joint.name] = _rotation(motion) if joint.type is JointType.BALL else pose_spec(motion)
+            position = state.joints.get(f"{item.name}.{joint.name}", joint.position)
+            if abs(position - joint.position) > STILL:
+                low, high = joint.limits or (-math.inf, math.inf)  # engines enforce limits softly
+                joints[joint.name] = min(max(round(position, 4) + 0.0, low), high)
+        if joints != objects[item.name].joints:
+            objects[item.name] = objects[item.name].model_copy(update={"joints": joints})
+    return moved.model_copy(update={"objects": objects})
+
+
+def _rotation(motion: Pose) -> PoseSpec:
+    """Return the rotation of a ball joint in readable form."""
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(motion.q))
+    return PoseSpec(rpy_deg=(roll, pitch, yaw))
+
+
+def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
+    """Return the spec with new poses for the objects that are not fixed, replacing their poses and placements."""
+    objects = dict(spec.objects)
+    for name, item in spec.objects.items():
+        if name in poses and not item.fixed:
+            objects[name] = item.model_copy(update={"pose": pose_spec(poses[name]), "place": None})
+    return spec.model_copy(update={"objects": objects})

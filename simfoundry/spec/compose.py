@@ -87,8 +87,8 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
     except FileError as wrong:
         return document.finding(wrong.code, place, str(wrong), wrong.hint)
     if any(target == b.resolve() for b in before):
-        ring = " extends ".join(f"`{b.name}`" for b in [*before, target])
-        return document.finding("SF207", place, f"{ring}, which is a cycle", "let one of them stand alone")
+        cycle = " extends ".join(f"`{b.name}`" for b in [*before, target])
+        return document.finding("SF207", place, f"{cycle}, which is a cycle", "remove `extends` from one of them")
     if len(before) > MAX_BASES:
         return document.finding("SF005", place, f"more than {MAX_BASES} documents extend each other")
     shown = Path(os.path.normpath(path.parent / written))
@@ -157,7 +157,7 @@ class _Joining:
         return rivals
 
     def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...], there: Iterable[str]) -> None:
-        message = f"`{path[-1]}` is not in what this document extends, so it cannot be removed"
+        message = f"the extended document has no `{path[-1]}`, so it cannot be removed"
         similar = nearest(path[-1], there)
         hint = similar if similar.startswith("did you mean") else "remove the line"
         self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, ".".join(path), hint))

@@ -93,16 +93,16 @@ def _plain(name: str) -> str:
     return name.casefold().replace("_", "")
 
 
-def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mapping[str, str] | None = None) -> str:
+def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mapping[str, str] | None = None) -> str:
     """Format findings like a compiler: location, message, source line with a caret, and hint.
 
-    Source lines are read from the file of the finding unless ``texts`` contains its content. With ``colour``, the
+    Source lines are read from the file of the finding unless ``texts`` contains its content. With ``color``, the
     output contains terminal escape sequences.
     """
     sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
 
     def paint(text: str, style: str) -> str:
-        return _painted(text, style) if colour else text
+        return _painted(text, style) if color else text
 
     blocks = []
     for d in ordered(diagnostics):

@@ -54,11 +54,11 @@ def located(reference: str, document: Path) -> Path:
     spec = find_spec(package)  # locates the folder without running any code
     if spec is None or not spec.submodule_search_locations:
         hint = f"install it (`pip install {package}`), or give a path relative to this document"
-        raise FileError("SF203", f"there is no package `{package}` here", hint)
+        raise FileError("SF203", f"the package `{package}` is not installed", hint)
     folder = Path(spec.submodule_search_locations[0]).resolve()
     target = (folder / path).resolve()
     if not target.is_relative_to(folder):
-        raise FileError("SF204", f"`{reference}` leaves the package", "name a file of the package")
+        raise FileError("SF204", f"`{reference}` is outside the package", "name a file of the package")
     return target
 
 
@@ -82,9 +82,9 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
     if Path(reference).is_absolute() or not target.is_relative_to(root):
         hint = (
-            f"files must lie below the project, {root}; copy it there and give a relative path{_or_mark(target, root)}"
+            f"files must be inside the project, {root}; copy it there and give a relative path{_or_mark(target, root)}"
         )
-        raise FileError("SF204", f"`{reference}` leaves the project", hint)
+        raise FileError("SF204", f"`{reference}` is outside the project", hint)
     if suffixes and not reference.lower().endswith(suffixes):
         raise FileError("SF203", f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
     if target.is_file() or (not suffixes and target.is_dir()):

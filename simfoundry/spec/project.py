@@ -22,7 +22,7 @@ MARKER = "simfoundry.yaml"
 """File that marks the root folder of a project; it may be empty."""
 
 
-MARKING = "# The topmost folder of a SimFoundry project: what its documents name lies below it.\n"
+MARKING = "# Root of a SimFoundry project, which contains all files that its documents refer to.\n"
 """Content of a new marker file."""
 
 
@@ -32,7 +32,7 @@ class ProjectSpec(Model):
     exclude: tuple[str, ...] = Field(
         (),
         max_length=1000,
-        description="Files and folders that commands over folders pass over, from this file's folder; "
+        description="Files and folders that commands on folders skip, relative to this file; "
         "`*` stands for any part of a name, `**` for any number of folders.",
     )
 
@@ -118,7 +118,7 @@ def common_project(*files: Path) -> Project:
     try:
         closest = Path(os.path.commonpath(folders))
     except ValueError:  # on different drives
-        raise NoProjectError(f"no folder holds {_listed(files)}; move them below one") from None
+        raise NoProjectError(f"no folder contains {_listed(files)}; move them into one") from None
     here = Path.cwd()
     below = closest.is_relative_to(here) and not _is_shared(here)
     project = find_project(closest) or Project(here if below else closest)
@@ -126,14 +126,14 @@ def common_project(*files: Path) -> Project:
         inner = find_project(folder)
         if inner is not None and inner.root != project.root:
             raise NoProjectError(
-                f"`{file}` belongs to the project {inner.root}, which does not hold "
+                f"`{file}` belongs to the project {inner.root}, which does not contain "
                 f"{_listed(f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root))}; "
-                f"move all below {inner.root}, or its {MARKER} to {project.root}"
+                f"move all files into {inner.root}, or its {MARKER} to {project.root}"
             )
     if not project.is_marked and len({*folders}) > 1 and _is_shared(project.root):
         raise NoProjectError(
-            f"the closest folder that holds {_listed(files)} is {project.root}, where other things lie, too; "
-            f"move them below a folder of their own"
+            f"the closest folder that contains {_listed(files)} is {project.root}, "
+            f"which also contains unrelated files; move them into a separate folder"
         )
     return project
 

@@ -13,8 +13,7 @@ from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.files import replace_folder, scratch, strangers, write_files
-from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import ensure_folder_replaceable, replace_folder, scratch, strangers, write_files
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target

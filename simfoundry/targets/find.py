@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.files import shipped
 from simfoundry.runtime.plugins import plugins
-from simfoundry.runtime.shipped import shipped
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import Document, read
@@ -137,7 +137,7 @@ def read_profile(path: Path) -> Target:
 
 def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diagnostic]:
     """Yield the problems of a profile that its types cannot express."""
-    from simfoundry.targets.profile import BEHAVIOURS, QUANTITIES, READ_BACK
+    from simfoundry.targets.profile import BEHAVIORS, QUANTITIES, READ_BACK
 
     def known(name: str, choices: Collection[str], place: tuple[str, ...], what: str) -> Iterator[Diagnostic]:
         if name not in choices:
@@ -160,10 +160,10 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     for key in ("restores", "gaps"):
         for name in getattr(spec, key):
             yield from known(name, FEATURES, (key, name), "feature")
-    for name in spec.behaviours:
-        yield from known(name, BEHAVIOURS, ("behaviours", name), "behaviour")
+    for name in spec.behaviors:
+        yield from known(name, BEHAVIORS, ("behaviors", name), "behavior")
     for name in spec.tolerances:
-        yield from known(name, (READ_BACK, *QUANTITIES, *BEHAVIOURS), ("tolerances", name), "quantity or behaviour")
+        yield from known(name, (READ_BACK, *QUANTITIES, *BEHAVIORS), ("tolerances", name), "quantity or behavior")
     folder = path.parent.resolve()
     if spec.loader is not None:
         loader = (folder / spec.loader).resolve()

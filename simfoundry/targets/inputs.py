@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
-from simfoundry.runtime.shipped import shipped
-from simfoundry.scene.robot_files import companions
-from simfoundry.scene.robot_packages import NoModelError
-from simfoundry.scene.robots import lower_robot
+from simfoundry.runtime.files import shipped
+from simfoundry.scene.robot import lower_robot
+from simfoundry.scene.robot_files import NoModelError, companions
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec

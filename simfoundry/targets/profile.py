@@ -23,7 +23,7 @@ QUANTITIES = (
 )
 """The quantities that `simfoundry verify` reads back."""
 
-BEHAVIOURS = (
+BEHAVIORS = (
     *("free_fall", "slip_angle", "period", "decay", "restitution", "limit", "friction_holds", "friction_slips"),
     *("damped_friction", "drive", "mimic", "no_contact", "settled_mm", "settled_deg"),
 )
@@ -123,7 +123,7 @@ class TargetSpec(Model):
     engine: EngineSpec | None = Field(
         None, description="The settings to run it in `simfoundry verify`; requires a `readback.py`."
     )
-    behaviours: dict[Name, Band] = Field({}, description="Known deviations from the laws of physics, by behavior.")
+    behaviors: dict[Name, Band] = Field({}, description="Known deviations from the laws of physics, by behavior.")
     tolerances: dict[Name, Tolerance] = Field(
         {}, description="Tolerances of `simfoundry verify` by quantity or behavior, or `read_back` for all others."
     )

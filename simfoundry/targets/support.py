@@ -94,7 +94,7 @@ def _reasons(columns: list[Column]) -> Iterator[str]:
             yield ""
         yield from (f"- {MARKS[cell.fidelity]} {FEATURES[name].label}: {cell.reason}" for name, cell in own.items())
         profile = column.target.profile
-        bands = profile.behaviours.items()
+        bands = profile.behaviors.items()
         yield from (f"- ≈ measured `{n}`: {b.low:g} to {b.high:g}: {b.reason}" for n, b in bands)
         if profile.tested.note:
             yield from ("", f"Tested: {profile.tested.note}.")

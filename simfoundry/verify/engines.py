@@ -90,9 +90,9 @@ class VerifyEngine:
         combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
         return frozenset(profile.restores.keys() | combined)
 
-    def band(self, behaviour: str) -> Band | None:
+    def band(self, behavior: str) -> Band | None:
         """Return the known range of an incorrect result, None if the engine gives the right answer."""
-        return self.target.profile.behaviours.get(behaviour)
+        return self.target.profile.behaviors.get(behavior)
 
     def tolerance(self, quantity: str) -> float:
         """Return the maximum relative error of a quantity that is read back."""
@@ -100,9 +100,9 @@ class VerifyEngine:
         found = stated.get(quantity.replace(" ", "_")) or stated.get(READ_BACK)
         return TOLERANCE if found is None else found.value
 
-    def behaviour_tolerance(self, behaviour: str, default: float) -> float:
+    def behavior_tolerance(self, behavior: str, default: float) -> float:
         """Return the maximum error of a behavior, in its unit."""
-        found = self.target.profile.tolerances.get(behaviour)
+        found = self.target.profile.tolerances.get(behavior)
         return default if found is None else found.value
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from simfoundry.backends.urdf.elements import capsule_parts
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import excluded_link_pairs, link_poses
 from simfoundry.scene.model import Collider, Joint, JointType, Link, Scene, SceneObject, pair_friction
-from simfoundry.scene.touching import excluded_link_pairs
 from simfoundry.verify.readback import (
     FREE,
     WORLD,

@@ -13,9 +13,9 @@ from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 
 GRAVITY = 9.81
-"""m/s^2, downwards."""
+"""m/s^2, downward."""
 
-_GREY = frozen_array([0.6, 0.6, 0.65, 1.0])
+_GRAY = frozen_array([0.6, 0.6, 0.65, 1.0])
 _BLUE = frozen_array([0.25, 0.45, 0.8, 1.0])
 
 
@@ -151,5 +151,5 @@ def _link(
     tensor = np.diag(inertia) if np.ndim(inertia) == 1 else (inertia + inertia.T) / 2
     return Link(
         name, mass, frozen_array(com), frozen_array(tensor),
-        (Visual("shape", shape, _GREY),), (Collider("shape", shape, friction, restitution),),
+        (Visual("shape", shape, _GRAY),), (Collider("shape", shape, friction, restitution),),
     )  # fmt: skip

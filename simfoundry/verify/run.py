@@ -14,7 +14,7 @@ from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.losses import Loss
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import target_files
-from simfoundry.verify.behaviours import Behaviour, Measurement, Trial
+from simfoundry.verify.behaviors import Behavior, Measurement, Trial
 from simfoundry.verify.compare import ReadbackComparison, compare
 from simfoundry.verify.engines import InstalledEngine, VerifyEngine
 from simfoundry.verify.process import TIMEOUT_S, EngineAnswer, EngineJob, ask
@@ -78,10 +78,10 @@ class ReadbackResult:
 
 
 @dataclass(frozen=True)
-class BehaviourResult:
+class BehaviorResult:
     """A behavior in an engine: the value or ``error``; ``reason`` explains a known deviation of the engine."""
 
-    behaviour: str
+    behavior: str
     engine: str
     value: float | None
     verdict: ProofStatus
@@ -134,15 +134,15 @@ def _reading(subject: SceneBuilds, found: InstalledEngine, answer: EngineAnswer)
     return ReadbackResult(subject.name, engine.name, comparison, "", answer.seconds)
 
 
-def measure_behaviours(
-    behaviours: Sequence[Behaviour], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
+def measure_behaviors(
+    behaviors: Sequence[Behavior], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
     timeout: float = TIMEOUT_S,
-) -> list[BehaviourResult]:  # fmt: skip
+) -> list[BehaviorResult]:  # fmt: skip
     """Measure every behavior in every engine that can step."""
 
-    def one(found: InstalledEngine) -> list[BehaviourResult]:
+    def one(found: InstalledEngine) -> list[BehaviorResult]:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
-            return _Bench(found, Path(folder), report, timeout).measure(behaviours)
+            return _Bench(found, Path(folder), report, timeout).measure(behaviors)
 
     with ThreadPoolExecutor(max(1, workers)) as pool:
         stepping = [found for found in engines if found.engine.spec.steps]
@@ -156,12 +156,12 @@ class _Bench:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
         self._trials = 0
 
-    def measure(self, behaviours: Sequence[Behaviour]) -> list[BehaviourResult]:
+    def measure(self, behaviors: Sequence[Behavior]) -> list[BehaviorResult]:
         """Measure all behaviors, in order."""
         running: dict[str, tuple[Measurement, Trial]] = {}
-        for behaviour in behaviours:
-            measurement = behaviour.measure()
-            running[behaviour.name] = (measurement, next(measurement))
+        for behavior in behaviors:
+            measurement = behavior.measure()
+            running[behavior.name] = (measurement, next(measurement))
         results: dict[str, float | str] = {}
         while running:
             jobs = [self._job(trial) for _, trial in running.values()]
@@ -174,7 +174,7 @@ class _Bench:
                 results[name] = outcome
                 del running[name]
                 self.report(self.found.engine.name, 1)
-        return [judge_result(behaviour, self.found.engine, results[behaviour.name]) for behaviour in behaviours]
+        return [judge_result(behavior, self.found.engine, results[behavior.name]) for behavior in behaviors]
 
     def _job(self, trial: Trial) -> EngineJob:
         self._trials += 1
@@ -196,13 +196,13 @@ def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | 
         return str(error)
 
 
-def judge_result(behaviour: Behaviour, engine: VerifyEngine, outcome: float | str) -> BehaviourResult:
+def judge_result(behavior: Behavior, engine: VerifyEngine, outcome: float | str) -> BehaviorResult:
     """Compare a value with the analytic one and with the known deviation of the engine."""
     if isinstance(outcome, str):
-        return BehaviourResult(behaviour.name, engine.name, None, ProofStatus.FAILED, "", outcome)
-    if abs(outcome - behaviour.expected) <= engine.behaviour_tolerance(behaviour.name, behaviour.tolerance):
-        return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.OK, "", "")
-    known = engine.band(behaviour.name)
+        return BehaviorResult(behavior.name, engine.name, None, ProofStatus.FAILED, "", outcome)
+    if abs(outcome - behavior.expected) <= engine.behavior_tolerance(behavior.name, behavior.tolerance):
+        return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.OK, "", "")
+    known = engine.band(behavior.name)
     if known is not None and known.low <= outcome <= known.high:
-        return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.KNOWN, known.reason, "")
-    return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.MISMATCH, "", "")
+        return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.KNOWN, known.reason, "")
+    return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.MISMATCH, "", "")

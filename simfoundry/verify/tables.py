@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from simfoundry.verify.behaviours import Behaviour
+from simfoundry.verify.behaviors import Behavior
 from simfoundry.verify.compare import Difference
 from simfoundry.verify.engines import InstalledEngine, VerifyEngine
 from simfoundry.verify.rest import RestResult
-from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
+from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult
 
 ABSENT = "not installed"
 SHOWN = 12
@@ -33,7 +33,7 @@ def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, Ins
     return _aligned(rows)
 
 
-def measured_cell(measured: BehaviourResult) -> str:
+def measured_cell(measured: BehaviorResult) -> str:
     """Return the value, marked if its deviation is known or if it is wrong."""
     if measured.value is None:
         return "failed"
@@ -41,14 +41,14 @@ def measured_cell(measured: BehaviourResult) -> str:
     return f"{measured.value:.4g}{marks[measured.verdict]}"
 
 
-def behaviours_table(
-    results: Sequence[BehaviourResult], behaviours: Sequence[Behaviour], engines: Mapping[str, InstalledEngine | None]
+def behaviors_table(
+    results: Sequence[BehaviorResult], behaviors: Sequence[Behavior], engines: Mapping[str, InstalledEngine | None]
 ) -> str:
     """Return a table with a row per behavior and a column per engine; a star marks known deviations."""
     names = [name for name, found in engines.items() if found is not None and found.engine.spec.steps]
-    cells = {(m.behaviour, m.engine): measured_cell(m) for m in results}
+    cells = {(m.behavior, m.engine): measured_cell(m) for m in results}
     rows = [["", "answer", *names]]
-    for b in behaviours:
+    for b in behaviors:
         answer = f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip()
         rows.append([b.title, answer, *(cells.get((b.name, n), "") for n in names)])
     return _aligned(rows)
@@ -70,7 +70,7 @@ def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEn
 
 
 def details(
-    readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult], rested: Iterable[RestResult] = ()
+    readings: Iterable[ReadbackResult], results: Iterable[BehaviorResult], rested: Iterable[RestResult] = ()
 ) -> list[str]:
     """Return a line for every failure and every known deviation of an engine."""
     lines: list[str] = []
@@ -85,9 +85,9 @@ def details(
             lines.append(f"{where}: and {len(wrong) - SHOWN} more")
     for m in results:
         if m.verdict is ProofStatus.FAILED:
-            lines.append(f"{m.behaviour} in {m.engine}: {m.error}")
+            lines.append(f"{m.behavior} in {m.engine}: {m.error}")
         elif m.verdict is ProofStatus.MISMATCH:
-            lines.append(f"{m.behaviour} in {m.engine}: {m.value:.5g} is outside of the tolerance")
+            lines.append(f"{m.behavior} in {m.engine}: {m.value:.5g} is outside of the tolerance")
     for r in rested:
         if r.verdict is ProofStatus.FAILED:
             lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
@@ -97,7 +97,7 @@ def details(
     return lines
 
 
-def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult]) -> list[str]:
+def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviorResult]) -> list[str]:
     """Return the known losses of the engines, each reason once with its number of occurrences."""
     counts: dict[str, int] = {}
     for reading in readings:
@@ -105,7 +105,7 @@ def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourR
             line = f"{reading.engine}: {d.quantity}: {d.covered}"
             counts[line] = counts.get(line, 0) + 1
     lines = [f"{line} ({n} x)" for line, n in counts.items()]
-    return lines + [f"{m.engine}: {m.behaviour} {m.value:.4g}: {m.reason}" for m in results if m.reason]
+    return lines + [f"{m.engine}: {m.behavior} {m.value:.4g}: {m.reason}" for m in results if m.reason]
 
 
 def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:

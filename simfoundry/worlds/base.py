@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,7 +42,7 @@ class Contact:
     position: Array
 
 
-class Judging:
+class Judging(ABC):
     """Evaluation of predicates in the current state of a world."""
 
     scene: Scene
@@ -50,9 +51,9 @@ class Judging:
         """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
         return self._judge(condition, self.state())
 
+    @abstractmethod
     def state(self) -> SceneState:
         """Return the current state."""
-        raise NotImplementedError
 
     @cached_property
     def _judge(self) -> Judge:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.models import images, meshes
+from simfoundry.models.generators import IMAGES_URL, MESHES_URL
 from simfoundry.runtime.extras import EXTRAS, install_line
 
 PYBULLET_REMEDY = (
@@ -93,8 +93,8 @@ def _extras() -> Iterator[Part]:
 
 def _robots() -> Iterator[Part]:
     """Yield the known robots, with the command that installs their models if they are missing."""
-    from simfoundry.scene.robot_packages import NoModelError
-    from simfoundry.scene.robots import lower_robot
+    from simfoundry.scene.robot import lower_robot
+    from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec
     from simfoundry.spec.models.robot_file import find_robot, robot_names
 
@@ -132,8 +132,8 @@ def _models() -> Iterator[Part]:
     purpose = "proposes tasks and variants (`--vlm MODEL`, with the API key in the provider's variable)"
     yield Part("models", "vision-language", found, False, purpose, install_line("vlm"))
     for name, variable, purpose in (
-        ("images", images.URL, "draws variants of objects, for recipes that request it"),
-        ("meshes", meshes.URL, "creates meshes from pictures, for recipes that request it"),
+        ("images", IMAGES_URL, "draws variants of objects, for recipes that request it"),
+        ("meshes", MESHES_URL, "creates meshes from pictures, for recipes that request it"),
     ):
         address = "set" if os.environ.get(variable) else ""
         yield Part("models", name, address, False, purpose, f"export {variable}=http://…, the address of its server")

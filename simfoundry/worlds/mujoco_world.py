@@ -13,11 +13,10 @@ from simfoundry.backends.mjcf.contact_rules import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, Judging, complete_state
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle

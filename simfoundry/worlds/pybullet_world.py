@@ -22,10 +22,9 @@ from simfoundry.backends.pybullet import compile_pybullet
 from simfoundry.backends.pybullet.pictures import camera_arguments, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, Judging, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.mounted import camera_of

@@ -13,17 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Contact, World
 from simfoundry.worlds.footing import NUDGE_DEG, STEEP, has_foot, is_ball, supporters, topples
-from simfoundry.worlds.rest import is_confined, is_still
+from simfoundry.worlds.rest import is_confined, run_to_rest, tilt_deg
 
 Progress = Callable[[str, float], None]
 
@@ -35,20 +35,18 @@ FALLEN = 0.3
 class SettleOptions:
     """Settings for the end of each phase and for the evaluation.
 
-    The quasi-static phase ends when no object has moved more than ``still_m`` or rotated more than ``still_rad`` over
-    ``window_s``; the dynamic phase ends when the same holds over ``rest_s``. Both are limited by their ``max``. If the
-    motion is damped, velocities are set to zero every ``damped_s``.
+    The quasi-static phase ends when all objects are at rest over ``window_s`` (see :func:`restless`), the dynamic phase
+    when they are over ``rest_s``. Both are limited by their ``max``. If the motion is damped, velocities are set to
+    zero every ``damped_s``.
     """
 
     window_s: float = 0.1
-    still_m: float = 1e-4
-    still_rad: float = 1e-3
     max_quasi_static_s: float = 6.0
     min_dynamic_s: float = 1.0
     rest_s: float = 0.5
     max_dynamic_s: float = 8.0
     damped_s: float = 0.04
-    max_damped_s: float = 6.0
+    max_damped_s: float = 6.5
     max_drift_m: float = 0.02
     max_tilt_deg: float = 5.0
     max_penetration_m: float = 0.001
@@ -114,14 +112,16 @@ def settle(
     options = options or SettleOptions()
     world.reset(state)
     before, contacts_before = world.state(), world.contacts()
-    _slowed(world, 0.0, options.window_s, options.max_quasi_static_s, options, _stage(progress, "depenetrate"))
+    run = partial(_run, world, progress)
+    run("depenetrate", options.window_s, 0.0, options.max_quasi_static_s, halt_s=0.0)
     opened = world.state()
-    restless = _dynamic(world, options, progress)
+    dynamics = options.rest_s, options.min_dynamic_s, options.max_dynamic_s
+    restless = run("rest", *dynamics)
     if restless or _fallen(world, world.state()):
         world.reset(opened)
-        _slowed(world, options.damped_s, options.rest_s, options.max_damped_s, options, _stage(progress, "calm"))
+        run("calm", options.rest_s, 0.0, options.max_damped_s, halt_s=options.damped_s)
         calmed = world.state()
-        restless = _dynamic(world, options, progress)
+        restless = run("rest", *dynamics)
         balls = {o.name for o in world.scene.objects if o.name in restless and is_ball(o)}
         now = world.state().poses
         restless -= {n for n in balls if is_confined(world.scene.object(n), calmed.poses[n], now[n])}
@@ -143,19 +143,17 @@ def settle(
     return SettleResult(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
-def _restless(scene: Scene, before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
-    """Return the objects that moved, rotated, or moved a joint between two states."""
-    out = {
-        name
-        for name, start in before.poses.items()
-        if not is_still(scene.object(name), start, after.poses[name], options.still_m, options.still_rad)
-    }
-    moved = [j for j, start in before.joints.items() if abs(after.joints[j] - start) > options.still_rad]
-    for joint, motion in before.motions.items():
-        now = after.motions[joint]
-        if float(np.linalg.norm(now.p - motion.p)) > options.still_m or now.angle_to(motion) > options.still_rad:
-            moved.append(joint)
-    return out | {joint.split(".")[0] for joint in moved}
+def _run(
+    world: World, progress: Progress | None, stage: str, window_s: float, least_s: float, most_s: float,
+    halt_s: float | None = None,
+) -> set[str]:  # fmt: skip
+    """Run a stage; return the objects that did not come to rest, except those that fell off the scene."""
+
+    def report(elapsed: float, _: set[str]) -> None:
+        if progress is not None:
+            progress(stage, elapsed / most_s)
+
+    return run_to_rest(world, window_s, least_s, most_s, partial(_fallen, world), report, halt_s)
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:
@@ -173,51 +171,6 @@ def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: se
     return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
-def _slowed(
-    world: World, halt_s: float, window_s: float, most_s: float, options: SettleOptions, report: Callable[[float], None]
-) -> None:
-    """Run damped dynamics until nothing has moved over ``window_s``: falls are slow, and rolling stops.
-
-    All velocities are set to zero every ``halt_s``, at least one step apart.
-    """
-    steps = max(1, round(halt_s / world.timestep))
-    halts = max(1, round(window_s / (steps * world.timestep)))
-    elapsed, last = 0.0, world.state()
-    while elapsed < most_s:
-        for _ in range(halts):
-            world.step(steps)
-            world.halt()
-        elapsed += halts * steps * world.timestep
-        now = world.state()
-        restless = _restless(world.scene, last, now, options) - _fallen(world, now)
-        last = now
-        report(elapsed / most_s)
-        if not restless:
-            return
-
-
-def _stage(progress: Progress | None, name: str) -> Callable[[float], None]:
-    return lambda share: None if progress is None else progress(name, share)
-
-
-def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> set[str]:
-    """Run normal dynamics; return the objects that did not come to rest, except those that fell off the scene."""
-    steps = max(1, round(options.rest_s / world.timestep))
-    elapsed, last = 0.0, world.state()
-    restless: set[str] = set()
-    while elapsed < options.max_dynamic_s:
-        world.step(steps)
-        elapsed += steps * world.timestep
-        now = world.state()
-        restless = _restless(world.scene, last, now, options) - _fallen(world, now)
-        last = now
-        if progress is not None:
-            progress("rest", elapsed / options.max_dynamic_s)
-        if elapsed >= options.min_dynamic_s and not restless:
-            break
-    return restless
-
-
 def _report(
     world: World,
     item: SceneObject,
@@ -232,7 +185,7 @@ def _report(
     name = item.name
     start, end = before.poses[name], after.poses[name]
     drift = float(np.linalg.norm(end.p - start.p))
-    tilt = _tilt_deg(start, end)
+    tilt = tilt_deg(start, end)
     penetration = _deepest(name, contacts_after)
     carried_by = supporters(name, contacts_after)
     wanted = [r.args[1] for r in world.scene.relations if r.predicate == "OnTop" and r.args[0] == name]
@@ -262,9 +215,3 @@ def _report(
 
 def _deepest(name: str, contacts: list[Contact]) -> float:
     return max((c.depth for c in contacts if name in (c.a, c.b)), default=0.0)
-
-
-def _tilt_deg(start: Pose, end: Pose) -> float:
-    """Return the angle to the vertical of the body axis that pointed up at the start [deg]."""
-    up = start.inverse().rotation @ np.array([0.0, 0.0, 1.0])
-    return math.degrees(math.acos(float(np.clip((end.rotation @ up)[2], -1.0, 1.0))))

@@ -18,7 +18,7 @@ CUBE_FACES = np.array(
 
 
 def block(size: tuple[float, float, float], at: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[Array, Faces]:
-    """A box of full extents ``size`` [m] centred ``at`` [m], faces counter-clockwise from outside."""
+    """A box of full extents ``size`` [m] centered ``at`` [m], faces counter-clockwise from outside."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     return corners * size + at, CUBE_FACES
 

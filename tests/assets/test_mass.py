@@ -111,7 +111,7 @@ def test_far_from_the_origin_nothing_is_lost() -> None:
     assert_allclose(far.inertia, mass.box(np.array([0.02, 0.03, 0.05])).inertia, rtol=1e-8, atol=1e-18)
 
 
-def test_an_inside_out_mesh_has_negative_volume_and_the_same_centre() -> None:
+def test_an_inside_out_mesh_has_negative_volume_and_the_same_center() -> None:
     vertices, faces = blob(np.random.default_rng(7))
     solid, turned = mass.mesh(vertices, faces), mass.mesh(vertices, faces[:, ::-1])
     assert_allclose(turned.volume, -solid.volume)
@@ -140,7 +140,7 @@ def test_two_halves_combine_to_the_whole() -> None:
     assert_allclose(inertia, 700 * whole.inertia, atol=1e-12)
 
 
-def test_the_heavier_part_draws_the_centre() -> None:
+def test_the_heavier_part_draws_the_center() -> None:
     a, b = mass.sphere(0.1), mass.sphere(0.1).moved(np.eye(3), np.array([1.0, 0, 0]))
     m, com, inertia = mass.combine([(3000.0, a), (1000.0, b)])
     v = 4 / 3 * math.pi * 1e-3

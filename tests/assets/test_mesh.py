@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from simfoundry.assets import decompose, mass
+from simfoundry.assets import convex as convex_file
+from simfoundry.assets import mass
 from simfoundry.assets import mesh as mesh_file
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, hull, mesh_colliders
 from simfoundry.assets.deviation import ALLOWED, simplified
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.solids import lathe_mesh
 from tests.assets.meshes import blob, block, obj, rotation
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))
@@ -98,10 +99,10 @@ def test_a_truncated_obj_is_a_finding_or_open(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("factor", "scale", "hint"),
     [
-        (1000.0, 1.0, "it looks like millimetres: `scale: 0.001`"),
-        (100.0, 10.0, "it looks like millimetres: `scale: 0.01`"),
+        (1000.0, 1.0, "it looks like millimeters: `scale: 0.001`"),
+        (100.0, 10.0, "it looks like millimeters: `scale: 0.01`"),
         (1e9, 1.0, "set `scale`"),
-        (1e-4, 1.0, "set `scale`, the metres of one unit of the mesh"),
+        (1e-4, 1.0, "set `scale`, the meters of one unit of the mesh"),
     ],
 )
 def test_an_implausible_size_says_what_scale_would_help(tmp_path: Path, factor: float, scale: float, hint: str) -> None:
@@ -110,7 +111,7 @@ def test_an_implausible_size_says_what_scale_would_help(tmp_path: Path, factor: 
     assert (error.code, error.hint) == ("SF303", hint)
 
 
-def test_scale_turns_millimetres_into_metres(tmp_path: Path) -> None:
+def test_scale_turns_millimeters_into_meters(tmp_path: Path) -> None:
     vertices, faces = block((100, 200, 300))
     (part,) = read_mesh(written(tmp_path, "cup.obj", obj(vertices, faces)), 0.001)
     assert_allclose(np.ptp(part.vertices, axis=0), [0.1, 0.2, 0.3])
@@ -151,7 +152,7 @@ def test_seams_are_welded_and_holes_counted() -> None:
 def test_gltf_is_turned_from_y_up_to_z_up(tmp_path: Path) -> None:
     import trimesh
 
-    vertices, faces = block((0.1, 0.3, 0.2), (0.0, 0.15, 0.5))  # 0.3 tall, 0.5 towards the viewer of glTF, +z
+    vertices, faces = block((0.1, 0.3, 0.2), (0.0, 0.15, 0.5))  # 0.3 tall, 0.5 toward the viewer of glTF, +z
     (part,) = read_mesh(glb(tmp_path, trimesh.Trimesh(vertices, faces)))
     solid = mass.mesh(*weld(part.vertices, part.faces))
     assert_allclose(solid.com, [0, -0.5, 0.15], atol=1e-7)
@@ -171,7 +172,7 @@ def textured(vertices: Any, faces: Any, factor: list[int] | None) -> Any:
     )
 
 
-def test_the_parts_of_a_glb_keep_their_colours_and_textures(tmp_path: Path) -> None:
+def test_the_parts_of_a_glb_keep_their_colors_and_textures(tmp_path: Path) -> None:
     import trimesh
 
     plain = trimesh.Trimesh(*block((0.1, 0.1, 0.1)), process=False)
@@ -181,7 +182,7 @@ def test_the_parts_of_a_glb_keep_their_colours_and_textures(tmp_path: Path) -> N
     parts = read_mesh(glb(tmp_path, plain, picture))
     by_x = sorted(parts, key=lambda part: float(part.vertices[:, 0].mean()))
     assert by_x[0].texture is None and by_x[0].uv is None
-    # glTF writes linear colours: 55/255 is 0.502 in sRGB.
+    # glTF writes linear colors: 55/255 is 0.502 in sRGB.
     assert_allclose(by_x[0].rgba or (), [1, 0.502, 0, 128 / 255], atol=1e-3)
     assert by_x[1].rgba is None
     assert (by_x[1].texture or b"").startswith(b"\x89PNG")
@@ -194,7 +195,7 @@ def test_a_tinted_texture_keeps_its_tint(tmp_path: Path) -> None:
     assert_allclose(part.rgba or (), [1, 0, 0, 1])
 
 
-def test_the_vertex_colours_of_a_ply_are_averaged(tmp_path: Path) -> None:
+def test_the_vertex_colors_of_a_ply_are_averaged(tmp_path: Path) -> None:
     import trimesh
 
     cube = trimesh.Trimesh(*block((0.1, 0.1, 0.1)), process=False, vertex_colors=[[51, 102, 255, 255]] * 8)
@@ -237,7 +238,7 @@ def test_flat_points_have_no_hull(points: Any) -> None:
 
 
 def ell() -> tuple[Any, Any]:
-    from simfoundry.assets.prism import prism_mesh
+    from simfoundry.assets.solids import prism_mesh
 
     return prism_mesh(np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.1, 0.1)
 
@@ -268,7 +269,7 @@ def test_meshes_of_primitives_collide_as_those() -> None:
     found = mesh_colliders(vertices @ turn.T + shift, faces, "auto")
     assert found.primitive is not None and found.primitive.kind == "box" and found.parts == ()
     assert sorted(found.primitive.size) == pytest.approx([0.1, 0.2, 0.3])
-    assert_allclose(found.primitive.centre, shift, atol=1e-9)
+    assert_allclose(found.primitive.center, shift, atol=1e-9)
     assert found.error < 1e-6
 
     def can(sides: int) -> tuple[np.ndarray, np.ndarray]:
@@ -319,7 +320,7 @@ def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("decomposed again")
 
-    monkeypatch.setattr(decompose, "decompose", refuse)
+    monkeypatch.setattr(convex_file, "decompose", refuse)
     again = mesh_colliders(vertices, faces, "auto", cache)
     assert again.error == found.error
     assert [(v.tobytes(), f.tobytes()) for v, f in again.parts] == [(v.tobytes(), f.tobytes()) for v, f in parts]

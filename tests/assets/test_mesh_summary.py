@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets import mesh_summary as module
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MAX_BYTES, MeshError
@@ -23,7 +23,7 @@ from tests.assets.meshes import blob, block, obj
 from tests.conftest import REPOSITORY
 
 BAD = REPOSITORY / "tests" / "spec" / "bad" / "meshes"
-MESHES = ("cube.obj", "open.obj", "flat.obj", "empty.obj", "nan.obj", "points.obj", "millimetres.obj", "not_a_mesh.stl")
+MESHES = ("cube.obj", "open.obj", "flat.obj", "empty.obj", "nan.obj", "points.obj", "millimeters.obj", "not_a_mesh.stl")
 FIELDS = (
     "",
     "solid: hull, ",
@@ -53,7 +53,7 @@ def scene(folder: Path, mesh: str, fields: str) -> Path:
 def test_a_check_finds_what_lowering_finds(
     mesh: str, fields: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
+    monkeypatch.setattr(convex, "FUNCTION", COARSE)
     path = scene(tmp_path, mesh, fields)
     try:
         lower(load(path))

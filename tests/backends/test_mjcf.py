@@ -52,7 +52,7 @@ def test_loads_without_a_warning(
 
 
 def test_meshes_stay_in_their_places() -> None:
-    """MuJoCo moves a mesh to its own centre; the geom must make up for it."""
+    """MuJoCo moves a mesh to its own center; the geom must make up for it."""
     item = textured_object()
     model = load(compile_mjcf(scene_of(item)))
     data = mujoco.MjData(model)
@@ -116,7 +116,7 @@ def test_textures_and_their_coordinates_arrive() -> None:
     mesh = item.root.visuals[0].geometry
     assert isinstance(mesh, Mesh)
     assert mesh.uv is not None
-    # MuJoCo counts v downwards, as the rows of its picture.
+    # MuJoCo counts v downward, as the rows of its picture.
     expected = {(round(u, 5), round(1 - v, 5)) for u, v in mesh.uv.tolist()}
     assert {(round(float(u), 5), round(float(v), 5)) for u, v in model.mesh_texcoord} == expected
 

@@ -26,10 +26,10 @@ from simfoundry.backends.mjcf.contact_rules import (
 )
 from simfoundry.backends.mjcf.contacts import object_geoms
 from simfoundry.backends.names import InvalidSceneError
+from simfoundry.runtime.files import shipped
 from simfoundry.runtime.plugins import import_file
-from simfoundry.runtime.shipped import shipped
+from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import Collider, Scene, SceneObject
-from simfoundry.scene.touching import excluded_link_pairs
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid

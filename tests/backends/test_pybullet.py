@@ -134,7 +134,7 @@ def test_an_inset_hull_with_its_skin_has_the_faces_of_the_hull() -> None:
     for triangle in inset.vertices[inset.faces]:
         normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
         normal /= np.linalg.norm(normal)
-        assert (inset.vertices @ normal).max() == pytest.approx(triangle[0] @ normal, abs=1e-9)  # it faces outwards
+        assert (inset.vertices @ normal).max() == pytest.approx(triangle[0] @ normal, abs=1e-9)  # it faces outward
         assert (mesh.vertices @ normal).max() == pytest.approx(triangle[0] @ normal + SKIN, abs=1e-8)
 
 

@@ -179,7 +179,7 @@ def test_a_texture_goes_with_its_mesh() -> None:
     assert f"map_Kd {png.removeprefix('assets/')}" in artifact.files[mtl].decode()
     obj = artifact.files[mtl.replace(".mtl", ".obj")].decode()
     assert f"mtllib {mtl.removeprefix('assets/')}\n" in obj
-    assert "vt 0.25 1\n" in obj  # v as in the scene: upwards
+    assert "vt 0.25 1\n" in obj  # v as in the scene: upward
 
 
 def test_losses_cover_what_urdf_cannot_hold() -> None:

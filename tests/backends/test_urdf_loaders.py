@@ -12,7 +12,7 @@ from unittest import mock
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.lower import lower_file
 from tests.scenes import full_scene, scene_of, solid
 from tests.scenes import pose as posed

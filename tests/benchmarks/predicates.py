@@ -1,9 +1,9 @@
-"""How many states a second each predicate is judged in, vectorised, on one core: prints a table.
+"""How many states a second each predicate is judged in, vectorized, on one core: prints a table.
 
     python -m tests.benchmarks.predicates [STATES]
 
 The states are those of the proof: things so near each other that the predicate is often true and often false, so that
-bounds seldom decide. `apart` is the same with the things where rollouts mostly have them: within half a metre.
+bounds seldom decide. `apart` is the same with the things where rollouts mostly have them: within half a meter.
 """
 
 from __future__ import annotations

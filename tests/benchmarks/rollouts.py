@@ -20,7 +20,7 @@ import numpy as np
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.spec.models.expressions import AllOf, NoneOf

@@ -37,7 +37,7 @@ def color() -> NDArray[np.uint8]:
 
 
 def write(folder: Path, document: str = DOCUMENT, depth: NDArray[np.float64] | None = None) -> Path:
-    """Write a capture with depth [m] in millimetres."""
+    """Write a capture with depth [m] in millimeters."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "capture.yaml").write_text(document, encoding="utf-8")
     Image.fromarray(color()).save(folder / "color.png")

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.shapes.ray_agreement import cast_mesh, first_faces
-from simfoundry.capture.shapes.unwrap import face_normals
+from simfoundry.capture.shapes.evidence import cast_mesh, first_faces
+from simfoundry.capture.shapes.texture import face_normals
 from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.geometry.tessellate import tessellate

@@ -28,7 +28,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Table:
-    """A top at z = 0 (rectangle of full ``size``, or a disc of ``radius``), above a floor at ``floor``."""
+    """A top at z = 0 (rectangle of full ``size``, or a disk of ``radius``), above a floor at ``floor``."""
 
     size: tuple[float, float] = (1.2, 0.9)
     radius: float | None = None

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Segmentation
+from simfoundry.capture.frame import CaptureError, Frame, Segmentation
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
@@ -100,8 +99,8 @@ def test_nothing_on_the_table() -> None:
 
 def test_things_beside_the_table_are_left_out() -> None:
     item = Box((0.0, 0.0, 0.05), (0.1, 0.1, 0.1), 0.3)
-    neighbour = Box((0.95, -0.2, -0.2), (0.3, 0.3, 1.0))  # stands on the floor behind the table and rises above it
-    truth, found = segmented(Setup((item, neighbour), eye=(-0.7, 0.2, 0.7)))
+    neighbor = Box((0.95, -0.2, -0.2), (0.3, 0.3, 1.0))  # stands on the floor behind the table and rises above it
+    truth, found = segmented(Setup((item, neighbor), eye=(-0.7, 0.2, 0.7)))
     assert sorted(found.supports) == [1]
     assert number_of(truth, found, 1) == 1
     assert (found.labels[truth == 2] > 0).mean() < 0.02
@@ -124,7 +123,7 @@ def test_lost_readings_within_a_silhouette_are_filled() -> None:
 
 
 def painted(setup: Setup, colors: dict[int, tuple[int, int, int]]) -> tuple[np.ndarray, Segmentation]:
-    """Like :func:`segmented`, with items in RGB colours."""
+    """Like :func:`segmented`, with items in RGB colors."""
     frame, truth = photograph(setup)
     color = frame.color.copy()
     for item, rgb in colors.items():
@@ -156,7 +155,7 @@ def test_a_wide_head_on_a_thin_neck_is_one_thing_if_of_one_hue() -> None:
     assert two.supports[number_of(truth, two, 2)] == number_of(truth, two, 1)
 
 
-def test_equal_colours_do_not_join_what_stands_by_itself() -> None:
+def test_equal_colors_do_not_join_what_stands_by_itself() -> None:
     truth, found = painted(Setup(STACK), {1: RED, 2: RED, 3: RED})
     assert sorted(found.supports) == [1, 2, 3]
     assert matched_iou(truth, found.labels).min() > 0.85

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simfoundry.capture.fit_segments import DEEPEST, FOOTHOLD, deepened
+from simfoundry.capture.reconstruct import DEEPEST, FOOTHOLD, deepened
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder

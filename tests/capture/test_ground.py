@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from shapely.geometry import Point, Polygon
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, Table, photograph
 from tests.corpora.segmentation import available, pictures
@@ -113,7 +112,7 @@ def test_no_depth() -> None:
 
 @pytest.mark.parametrize(
     ("factor", "unit", "scale"),
-    [(1000.0, "millimetres", "0.001"), (10000.0, "tenths of a millimetre", "0.0001"), (0.001, "kilometres", "1000")],
+    [(1000.0, "millimeters", "0.001"), (10000.0, "tenths of a millimeter", "0.0001"), (0.001, "kilometers", "1000")],
 )
 def test_wrong_unit_is_named(factor: float, unit: str, scale: str) -> None:
     frame, _ = photograph(VIEWS[0])
@@ -138,7 +137,7 @@ def test_a_wall_is_no_support() -> None:
 
 
 # Camera height above the chair's table [m]: no ground truth, but what this code found when its outline, drawn over
-# the colour picture, was seen to follow the table. It guards against falling back to the floor.
+# the color picture, was seen to follow the table. It guards against falling back to the floor.
 HEIGHTS = {"000003": 0.65, "000004": 0.71}
 
 
@@ -158,7 +157,7 @@ def test_the_largest_plane_is_not_always_the_support() -> None:
 
 
 @pytest.mark.skipif(not available("m3t_desk"), reason="needs ../shared/data/m3t_desk")
-def test_sparse_depth_of_a_chequered_desk() -> None:
+def test_sparse_depth_of_a_checkered_desk() -> None:
     _, frame, entry = next(pictures("m3t_desk"))
     block = next(o for o in entry["objects"] if o["name"] == "triangle_block")
     block_W = find_support(frame).X_WC.apply(np.array(block["T_cam_obj"])[:3, 3])

@@ -97,7 +97,7 @@ def test_an_exif_turn_moves_no_pixel(tmp_path: Path) -> None:
     assert np.array_equal(frame_of(folder).color, color())
 
 
-def test_a_misspelt_frame(tmp_path: Path) -> None:
+def test_a_misspelled_frame(tmp_path: Path) -> None:
     folder = write(tmp_path)
     other = (
         "  front_left: {color: color.png, depth: {image: depth.png}, camera: {fx: 150, fy: 150, cx: 79.5, cy: 59.5}}\n"
@@ -137,19 +137,19 @@ def _all_nan(folder: Path) -> None:
     save_npy(folder, np.full((HEIGHT, WIDTH), np.nan))
 
 
-def _metres_as_millimetres(folder: Path) -> None:
+def _meters_as_millimeters(folder: Path) -> None:
     save_npy(folder, plane())
 
 
-def _millimetres_as_metres(folder: Path) -> None:
+def _millimeters_as_meters(folder: Path) -> None:
     edit(folder, "scale: 0.001", "scale: 1")
 
 
-def _millimetres_as_tenths(folder: Path) -> None:
+def _millimeters_as_tenths(folder: Path) -> None:
     edit(folder, "scale: 0.001", "scale: 0.0001")
 
 
-def _tenths_as_millimetres(folder: Path) -> None:
+def _tenths_as_millimeters(folder: Path) -> None:
     save(folder, "depth.png", np.rint(plane() * 10000).astype(np.uint16))
 
 
@@ -190,7 +190,7 @@ def _masks_of_another_size(folder: Path) -> None:
     save(folder, "masks.png", np.ones((60, 80), np.uint8))
 
 
-def _masks_in_colour(folder: Path) -> None:
+def _masks_in_color(folder: Path) -> None:
     edit(folder, *MASKS)
     save(folder, "masks.png", color())
 
@@ -230,17 +230,17 @@ def _looks_elsewhere(folder: Path) -> None:
 
 
 BAD = {
-    "sizes": (_wrong_size, "SF501", (7, 14), "80 x 60, but color.png is 160 x 120", "register depth to colour"),
+    "sizes": (_wrong_size, "SF501", (7, 14), "80 x 60, but color.png is 160 x 120", "register depth to color"),
     "cut color": (_cut_color, "SF501", (5, 12), "color.png cannot be read as a picture", "export it again"),
     "cut depth": (_cut_depth, "SF501", (7, 14), "depth.png cannot be read as a picture", "export it again"),
     "text": (_text, "SF501", (5, 12), "cannot identify image file", "export it again"),
     "empty": (_empty, "SF501", (7, 14), "depth.png cannot be read as a picture", "export it again"),
     "all 0": (_all_invalid, "SF502", (7, 14), "all values are invalid", "check `invalid`"),
     "all NaN": (_all_nan, "SF502", (7, 14), "all values are invalid", "check `invalid`"),
-    "m as mm": (_metres_as_millimetres, "SF502", (8, 14), "median is 0.0008 m", "metres: `scale: 1`"),
-    "mm as m": (_millimetres_as_metres, "SF502", (8, 14), "median is 800 m", "millimetres: `scale: 0.001`"),
-    "mm as 0.1 mm": (_millimetres_as_tenths, "SF502", (8, 14), "median is 0.08 m", "millimetres: `scale: 0.001`"),
-    "0.1 mm as mm": (_tenths_as_millimetres, "SF502", (8, 14), "0% of depth.png", "tenths of a millimetre"),
+    "m as mm": (_meters_as_millimeters, "SF502", (8, 14), "median is 0.0008 m", "meters: `scale: 1`"),
+    "mm as m": (_millimeters_as_meters, "SF502", (8, 14), "median is 800 m", "millimeters: `scale: 0.001`"),
+    "mm as 0.1 mm": (_millimeters_as_tenths, "SF502", (8, 14), "median is 0.08 m", "millimeters: `scale: 0.001`"),
+    "0.1 mm as mm": (_tenths_as_millimeters, "SF502", (8, 14), "0% of depth.png", "tenths of a millimeter"),
     "channels": (_channels, "SF501", (7, 14), "depth.png has 3 channels", "16-bit PNG"),
     "words": (_words, "SF501", (7, 14), "holds no picture", ""),
     "scalar": (_scalar, "SF501", (7, 14), "holds no picture", ""),
@@ -249,7 +249,7 @@ BAD = {
     "cut npy": (_cut_npy, "SF501", (7, 14), "cannot be read", "export it again"),
     "hardly any": (_hardly_any, "SF502", (7, 14), "60 usable pixels", "check `invalid`"),
     "masks size": (_masks_of_another_size, "SF501", (9, 20), "80 x 60", "pixel by pixel"),
-    "masks colour": (_masks_in_colour, "SF501", (9, 20), "3 channels", "a number of its own"),
+    "masks color": (_masks_in_color, "SF501", (9, 20), "3 channels", "a number of its own"),
     "masks fraction": (_fractional_masks, "SF501", (9, 20), "float64", "a number of its own"),
     "masks name": (_name_without_pixels, "SF501", (9, 44), "no pixel with the number 4", ""),
     "intrinsics larger": (_larger_intrinsics, "SF501", (9, 5), "(319.5, 239.5) lies outside", "another resolution"),
@@ -279,7 +279,7 @@ def test_all_faults_are_said_at_once(tmp_path: Path) -> None:
     folder = write(tmp_path)
     _cut_color(folder)
     _channels(folder)
-    _masks_in_colour(folder)
+    _masks_in_color(folder)
     assert [d.path for d in findings_of(folder)] == [
         "frames.view.color",
         "frames.view.depth.image",
@@ -301,12 +301,12 @@ def test_far_walls_do_not_make_the_unit_wrong(tmp_path: Path) -> None:
     assert np.isnan(frame.depth[: HEIGHT // 2]).all() and np.isfinite(frame.depth[HEIGHT // 2 :]).all()
 
 
-def test_depth_moves_into_the_colour_camera() -> None:
-    """A slanted plane seen by a turned, shifted depth camera gives the plane that the colour camera would measure."""
+def test_depth_moves_into_the_color_camera() -> None:
+    """A slanted plane seen by a turned, shifted depth camera gives the plane that the color camera would measure."""
     K_depth = matrix(Intrinsics(fx=140, fy=146, cx=70, cy=64))
     K_color = matrix(Intrinsics(fx=150, fy=152, cx=79.5, cy=59.5))
     X_color_depth = Pose.of([0.03, -0.02, 0.01], quat_from_rpy(0.04, -0.06, 0.09))
-    normal, offset = np.array([0.1, -0.5, -0.86]), -0.7  # the plane n . p = offset in the colour camera
+    normal, offset = np.array([0.1, -0.5, -0.86]), -0.7  # the plane n . p = offset in the color camera
     n_depth = X_color_depth.rotation.T @ normal
     offset_depth = offset - float(normal @ X_color_depth.p)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.sensor import (
+from simfoundry.capture.synthesize import (
     ACTIVE_STEREO,
     IDEAL,
     SensorModel,

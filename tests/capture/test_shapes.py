@@ -9,10 +9,9 @@ import pytest
 import trimesh
 
 from simfoundry.assets import mass
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame
-from simfoundry.capture.shapes.fit import PRIOR, FitCandidate, FittedShape, choose, fit_shape, size_of
-from simfoundry.capture.shapes.ray_agreement import (
+from simfoundry.capture.frame import CaptureError, Frame
+from simfoundry.capture.shapes.complete import hull_margin, loft_mesh
+from simfoundry.capture.shapes.evidence import (
     RayAgreement,
     agreement,
     cast_box,
@@ -20,7 +19,7 @@ from simfoundry.capture.shapes.ray_agreement import (
     cast_mesh,
     cast_sphere,
 )
-from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
+from simfoundry.capture.shapes.fit import PRIOR, FitCandidate, FittedShape, choose, fit_shape, size_of
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved, tessellate
@@ -45,7 +44,7 @@ def world_mesh(shape: FittedShape) -> trimesh.Trimesh:
 
 
 def assert_stands(shape: FittedShape, base_z: float) -> None:
-    """Closed, facing outward, on its base, and with the centre of mass well inside the foot."""
+    """Closed, facing outward, on its base, and with the center of mass well inside the foot."""
     mesh = world_mesh(shape)
     assert mesh.is_watertight and mesh.is_winding_consistent
     assert mesh.volume > 0 and len(mesh.faces) <= 2000

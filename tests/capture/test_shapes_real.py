@@ -16,8 +16,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
-from simfoundry.capture.shapes.ray_agreement import cast_mesh
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh
@@ -28,7 +28,7 @@ DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 # Between the middles of opposite faces of the scanned cartons, which bulge: their bounding boxes are up to 8 mm larger.
 CRACKERS, SUGAR = (0.0642, 0.1601, 0.2115), (0.0408, 0.0901, 0.1750)
 
-# What the inverse depth of the camera behind `posecnn_demo` is too large by [1/m], 3 % at one metre. A constant there
+# What the inverse depth of the camera behind `posecnn_demo` is too large by [1/m], 3 % at one meter. A constant there
 # maps planes to planes, so no single object gives it away, but upright faces lean back by 4 to 6 degrees, lids lie low
 # far from any edge, and this one number brings cartons, bowl and pitcher of four frames to their sizes.
 TOO_NEAR = 0.03
@@ -176,7 +176,7 @@ def test_sugar_carton() -> None:
 
 @pytest.mark.slow
 def test_cracker_carton_covers_its_outline() -> None:
-    """Its true size is unknown; the sizes are those whose edges lie on the carton's edges in the colour picture."""
+    """Its true size is unknown; the sizes are those whose edges lie on the carton's edges in the color picture."""
     shape = graspnet(2)
     assert isinstance(shape.geometry, Box) and shape.confidence > 0.9 and shape.fit_m < 0.001
     assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.150, 0.193], abs=0.003)
@@ -216,7 +216,7 @@ def test_table_of_containers_and_tins() -> None:
 
 
 def warped(entry: dict[str, Any]) -> Frame:
-    """Colour with the depth of the other camera brought over to it."""
+    """Color with the depth of the other camera brought over to it."""
     raw = read(DATA / "m3t_desk" / entry["depth"])
     z = np.where(np.isin(raw, entry["depth_invalid"]), np.nan, raw * entry["depth_scale_to_m"])
     X_CD = np.array(entry["T_color_depth"])
@@ -252,12 +252,12 @@ def test_shampoo_bottle_where_its_pose_says() -> None:
     shape = fit_shape(frame, support, mask, 0.0)
     assert isinstance(shape.geometry, Mesh)
     truth, got = support.X_WC.apply(truth_C), shape.X_WO.apply(shape.geometry.vertices)
-    centre = (truth.min(axis=0) + truth.max(axis=0)) / 2
-    assert np.linalg.norm((got.min(axis=0) + got.max(axis=0)) / 2 - centre) < 0.02
+    center = (truth.min(axis=0) + truth.max(axis=0)) / 2
+    assert np.linalg.norm((got.min(axis=0) + got.max(axis=0)) / 2 - center) < 0.02
     assert np.ptp(got, axis=0) == pytest.approx(np.ptp(truth, axis=0), abs=0.015)
 
 
-def test_texture_of_a_real_box_shows_its_colours() -> None:
+def test_texture_of_a_real_box_shows_its_colors() -> None:
     import cv2
 
     shape, frame, support, mask = posecnn(1, 266, 373)

@@ -1,4 +1,4 @@
-"""Colours and textures taken from the picture."""
+"""Colors and textures taken from the picture."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.shapes.unwrap import face_normals, unwrap
+from simfoundry.capture.shapes.texture import dominant_color, face_normals, textured_mesh, unwrap
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved, tessellate
@@ -37,19 +36,19 @@ def painted(geometry: Geometry, X_WO: Pose) -> tuple[Mesh, FittedShape]:
 
 
 def color_of_faces(mesh: Mesh, direction: Array) -> Array:
-    """Mean texture colour at the centres of the faces that look in a direction of the object frame."""
+    """Mean texture color at the centers of the faces that look in a direction of the object frame."""
     assert mesh.uv is not None and mesh.texture is not None
     picture = decode(mesh.texture)
     size = picture.shape[0]
     facing = face_normals(mesh.vertices, mesh.faces) @ direction > 0.9
-    centres = mesh.uv[mesh.faces[facing]].mean(axis=1)
-    col, row = (centres[:, 0] * size).astype(int), ((1 - centres[:, 1]) * size).astype(int)
+    centers = mesh.uv[mesh.faces[facing]].mean(axis=1)
+    col, row = (centers[:, 0] * size).astype(int), ((1 - centers[:, 1]) * size).astype(int)
     return np.asarray(picture[row, col].astype(float).mean(axis=0))
 
 
-def test_visible_faces_of_a_box_get_their_own_colours() -> None:
+def test_visible_faces_of_a_box_get_their_own_colors() -> None:
     mesh, _ = painted(CARTON, yaw_pose(0.02, 0.01, 0.075, 60))
-    # The camera stands towards (-0.9, -0.4): turned by 60 degrees, the faces -x and +y look at it, and the top.
+    # The camera stands toward (-0.9, -0.4): turned by 60 degrees, the faces -x and +y look at it, and the top.
     top = color_of_faces(mesh, np.array([0.0, 0.0, 1.0]))
     green = color_of_faces(mesh, np.array([-1.0, 0.0, 0.0]))
     blue = color_of_faces(mesh, np.array([0.0, 1.0, 0.0]))
@@ -67,7 +66,7 @@ def test_hidden_faces_mirror_the_seen_ones() -> None:
 @pytest.mark.parametrize(
     ("geometry", "height"), [(CARTON, 0.075), (Cylinder(0.04, 0.1), 0.05), (Sphere(0.05), 0.05), (MUG, 0.0)]
 )
-def test_no_colour_bleeds_in(geometry: Geometry, height: float) -> None:
+def test_no_color_bleeds_in(geometry: Geometry, height: float) -> None:
     mesh, _ = painted(geometry, yaw_pose(0.02, 0.01, height, 37))
     assert mesh.texture is not None
     picture = decode(mesh.texture).reshape(-1, 3).astype(int)

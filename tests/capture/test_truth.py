@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import Pose, frozen_array, look_at, quat_from_rp
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from tests.tabletop import box, one, pose, rgba
 
-GREY = rgba("808080")
+GRAY = rgba("808080")
 CAMERA = Camera("view", 64, 48, 60, 60, 31.5, 23.5, look_at(np.array([-0.7, 0.2, 0.6]), np.array([0.1, 0.0, 0.0])))
 
 
@@ -21,11 +21,11 @@ def scene(*objects: SceneObject, camera: Camera = CAMERA) -> Scene:
 
 
 def table() -> SceneObject:
-    return one("table", box(1, 1, 0.04), GREY, pose(0, 0, -0.02), fixed=True)
+    return one("table", box(1, 1, 0.04), GRAY, pose(0, 0, -0.02), fixed=True)
 
 
 def brick(name: str, X_WO: Pose, x: float = 0.1, y: float = 0.06, z: float = 0.04) -> SceneObject:
-    return one(name, box(x, y, z), GREY, X_WO)
+    return one(name, box(x, y, z), GRAY, X_WO)
 
 
 def test_the_same_scene_in_another_frame_is_the_same() -> None:
@@ -50,7 +50,7 @@ def test_known_offsets_come_out() -> None:
     assert 0.001 < c.chamfer < 0.008
 
 
-def test_a_shift_beyond_a_centimetre_costs_f1() -> None:
+def test_a_shift_beyond_a_centimeter_costs_f1() -> None:
     real = brick("a", pose(0.1, 0.05, 0.02))
     values = []
     for shift in (0.0, 0.02, 0.04):
@@ -67,7 +67,7 @@ def test_what_is_too_far_is_not_found() -> None:
     assert compare(scene(table()), CAMERA, scene(real), CAMERA) == []
 
 
-def test_a_missed_object_takes_no_neighbours_match() -> None:
+def test_a_missed_object_takes_no_neighbors_match() -> None:
     """Least total distance alone would give ``stray`` to ``kept`` so that ``missed`` could have its place."""
     kept, missed = brick("kept", pose(0.0, 0.0, 0.02)), brick("missed", pose(0.05, 0.0, 0.02))
     found, stray = brick("found", pose(0.004, 0.0, 0.02)), brick("stray", pose(-0.5, 0.0, 0.02))

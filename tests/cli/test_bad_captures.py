@@ -61,14 +61,14 @@ def _cut(folder: Path) -> None:
 
 
 BAD = {
-    "no colour": (_no_file("color.png"), "SF203", ":5:12", "there is no file `color.png`"),
+    "no color": (_no_file("color.png"), "SF203", ":5:12", "there is no file `color.png`"),
     "no depth": (_no_file("depth.png"), "SF203", ":7:14", "there is no file `depth.png`"),
     "no document": (_no_file("capture.yaml"), "SF001", "capture.yaml: error", "has no capture.yaml"),
     "no YAML": (_no_yaml, "SF002", ":1:", ""),
     "not UTF-8": (_not_utf8, "SF001", ":2:7", ""),
     "a scene": (_a_scene, "SF006", ":1:1", "expected a `capture/1` document"),
     "a folder": (_a_folder, "SF203", ":5:12", "there is no file"),
-    "elsewhere": (_elsewhere, "SF204", ":5:12", "leaves the project"),
+    "elsewhere": (_elsewhere, "SF204", ":5:12", "is outside the project"),
     "name": (_name, "SF106", ":2:7", "My Desk!"),
     "channels": (_three_channels, "SF501", ":7:14", "3 channels"),
     "cut": (_cut, "SF501", ":5:12", "cannot be read"),
@@ -130,7 +130,7 @@ def test_a_folder_without_a_document_says_what_it_must_hold(tmp_path: Path) -> N
     assert run("check", tmp_path / "photos").code == 0  # the example is a document
 
 
-def test_a_misspelt_frame(tmp_path: Path) -> None:
+def test_a_misspelled_frame(tmp_path: Path) -> None:
     folder = write(tmp_path / "capture")
     done = run("capture", folder, "-o", tmp_path / "out", "--frame", "veiw")
     assert done.code == 2

@@ -107,7 +107,7 @@ def test_a_wrong_call_gives_2_and_says_why(args: list[str], words: str) -> None:
     assert as_json.code == 2 and as_json.err == "" and words in as_json.json["error"]
 
 
-def test_a_misspelt_camera_or_target_is_named(scene: Path, tmp_path: Path) -> None:
+def test_a_misspelled_camera_or_target_is_named(scene: Path, tmp_path: Path) -> None:
     assert "did you mean `front`?" in run("render", scene, "-c", "fornt").err
     assert "did you mean `front`?" in run("synthesize", scene, "-c", "fornt", "-o", tmp_path / "c").err
     assert "did you mean `mjcf`" in run("compile", scene, "-t", "mjfc").err
@@ -185,7 +185,7 @@ def test_a_place_that_cannot_be_written_is_a_sentence(scene: Path, tmp_path: Pat
 MESHES = {
     "empty": ("", "SF301"),
     "open": (CORNERS.format(0.1) + "f 1 3 2\nf 1 2 4\nf 1 4 3\n", "SF302"),
-    "millimetres": (CORNERS.format(100) + TRIANGLES, "SF303"),
+    "millimeters": (CORNERS.format(100) + TRIANGLES, "SF303"),
     "tiny": (CORNERS.format(1e-5) + TRIANGLES, "SF303"),
     "NaN": (CORNERS.format(0.1).replace("v 0 0 0", "v nan 0 0") + TRIANGLES, "SF301"),
     "points": (CORNERS.format(0.1), "SF301"),
@@ -243,7 +243,7 @@ def test_help_and_check_load_nothing_heavy(scene: Path) -> None:
 
 
 def test_no_progress_bar_in_a_log(scene: Path, tmp_path: Path) -> None:
-    """Not even where colour is forced, as CI services do."""
+    """Not even where color is forced, as CI services do."""
     done = python(MAIN, "settle", scene, SIMFOUNDRY_CACHE=str(tmp_path), FORCE_COLOR="1", TERM="xterm")
     assert done.code == 0 and done.err == ""
 

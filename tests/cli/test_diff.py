@@ -33,7 +33,7 @@ def test_what_is_placed_by_what_moved_moves_along(repository: Repository) -> Non
     repository.write("b.scene.yaml", placed.replace("[0.3, 0.1, 0.05]", "[0.33, 0.1, 0.05]"))
     assert _lines(run("diff", "a.scene.yaml", "b.scene.yaml")) == [
         "cup moved 3.0 cm (+x 3.0)",
-        "can, box moved with what their places name",
+        "can, box moved along with the objects that their places refer to",
         "1 moved",
     ]
     repository.write("b.scene.yaml", placed.replace("behind: can}", "behind: can, gap: 0.2}"))
@@ -141,7 +141,7 @@ def test_the_unit_of_a_joint_comes_from_its_asset(repository: Repository) -> Non
 
 def test_what_is_only_written_otherwise(repository: Repository) -> None:
     repository.write("table.scene.yaml", "# The table.\n" + BASE.replace("[0.3, 0.1, 0.05]", "[0.30, 0.1, 5e-2]"))
-    assert _lines(run("diff", "table.scene.yaml", "--exit-code")) == ["the same, written otherwise"]
+    assert _lines(run("diff", "table.scene.yaml", "--exit-code")) == ["equivalent, written differently"]
 
 
 def test_exit_codes(repository: Repository) -> None:
@@ -159,8 +159,8 @@ def test_exit_codes(repository: Repository) -> None:
         (["--", "-p"], "`-p` is neither a file nor a revision of this repository"),
         (["HEAD", "no.scene.yaml"], "there is no document no.scene.yaml"),
         (["HEAD:no.scene.yaml", "HEAD:none.scene.yaml"], "there is no document HEAD:none.scene.yaml"),
-        (["HEAD", "HEAD", "HEAD"], "give two files; or a revision, or two, and then files"),
-        (["table.scene.yaml", "HEAD"], "give two files; or a revision, or two, and then files"),
+        (["HEAD", "HEAD", "HEAD"], "give two files, or one or two revisions followed by files"),
+        (["table.scene.yaml", "HEAD"], "give two files, or one or two revisions followed by files"),
         (["--format", "html"], "an HTML page needs an output file; give `--format html` and `-o PAGE.html` together"),
     ],
 )
@@ -176,7 +176,7 @@ def test_outside_of_a_repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     (tmp_path / "a.scene.yaml").write_text(BASE)
     done = run("diff", "a.scene.yaml")
-    assert done.code == 2 and "is in no git repository; give two files" in done.err
+    assert done.code == 2 and "is not in a git repository; give two files to compare" in done.err
 
 
 def test_documents_with_errors_are_compared_as_far_as_they_are_sound(repository: Repository) -> None:
@@ -194,20 +194,20 @@ def test_nothing_sound_cannot_be_compared(repository: Repository) -> None:
     repository.write("table.scene.yaml", "objects: [")
     done = run("diff", "table.scene.yaml")
     assert done.code == 2
-    assert done.out == "cannot be compared: nothing is sound in table.scene.yaml\n"
+    assert done.out == "cannot be compared: no part of table.scene.yaml is valid\n"
     assert "table.scene.yaml:2:1: error[SF002]" in done.err
 
 
 def test_an_overlay_without_its_base_is_not_taken_for_the_whole(repository: Repository) -> None:
     (repository.folder / "table.scene.yaml").unlink()
     done = run("diff", "moved.scene.yaml")
-    assert (done.code, done.out) == (2, "cannot be compared: nothing is sound in moved.scene.yaml\n")
+    assert (done.code, done.out) == (2, "cannot be compared: no part of moved.scene.yaml is valid\n")
 
 
 def test_another_kind_of_document_cannot_be_compared(repository: Repository) -> None:
     repository.write("other.scene.yaml", CABINET)
     done = run("diff", "table.scene.yaml", "other.scene.yaml")
-    assert (done.code, done.out) == (2, "cannot be compared: it was `scene/1` and is `asset/1`\n")
+    assert (done.code, done.out) == (2, "cannot be compared: the kind changed from `scene/1` to `asset/1`\n")
 
 
 def test_json_can_be_applied(repository: Repository) -> None:

@@ -17,8 +17,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.reports.comparison import COLORS
-from simfoundry.reports.labels import place_labels
-from simfoundry.reports.pictures import Tag, tints_of
+from simfoundry.reports.pictures import Tag, place_labels, tints_of
 from tests.cli.command import run
 from tests.cli.repository import BASE, CABINET, EDITED, Repository
 
@@ -94,13 +93,13 @@ objects:
 
 
 def test_the_page_shows_what_moves_along(repository: Repository) -> None:
-    """Of what its place brings along, no text says where to; things without a colour are not one grey."""
+    """Of what its place brings along, no text says where to; things without a color are not one gray."""
     repository.write("a.scene.yaml", STACK)
     repository.write(
         "b.scene.yaml", STACK.replace("0.2, 0.2, 0.1]", "0.2, 0.2, 0.13]").replace("[0.3, 0]", "[0.34, 0]")
     )
     page = _page(repository, "a.scene.yaml", "b.scene.yaml")
-    assert "pot moved 5.0 cm (+x 4.0, +z 3.0), with what its place names" in page.text
+    assert "pot moved 5.0 cm (+x 4.0, +z 3.0), along with the object that its place refers to" in page.text
     assert "2 moved, 1 changed" in page.text
     tags = [
         attrs["class"] or "" for tag, attrs in page.elements if tag == "span" and "tag" in (attrs.get("class") or "")
@@ -108,10 +107,10 @@ def test_the_page_shows_what_moves_along(repository: Repository) -> None:
     assert sorted(tag.split()[:2] for tag in tags) == [["tag", "moved"]] * 4
     lit = np.array([colorsys.rgb_to_hsv(*pixel) for pixel in page.pictures()[1].reshape(-1, 3)[::7] / 255])
     hues = {round(h * 12) % 12 for h, s, _ in lit if s > 0.2}
-    assert len(hues) >= 4, "three tints, and the colour of the outline"
+    assert len(hues) >= 4, "three tints, and the color of the outline"
 
 
-def test_a_grey_thing_keeps_its_tint_under_another_name() -> None:
+def test_a_gray_thing_keeps_its_tint_under_another_name() -> None:
     tints = tints_of(["desk", "cup", "mug"])
     assert tints == {**tints_of(["desk", "cup"]), "mug": tints["mug"]}
     assert min(math.dist(a, b) for a, b in itertools.combinations(tints_of("abcdefghij").values(), 2)) > 0.08
@@ -166,7 +165,7 @@ def test_a_side_that_cannot_be_shown_says_why(repository: Repository) -> None:
     assert "SF203" in page.text
     repository.write("table.scene.yaml", "objects: [")
     page = _page(repository)
-    assert len(page.pictures()) == 1 and "cannot be compared: nothing is sound in table.scene.yaml" in page.text
+    assert len(page.pictures()) == 1 and "cannot be compared: no part of table.scene.yaml is valid" in page.text
 
 
 def test_documents_of_other_kinds_have_no_pictures(repository: Repository) -> None:

@@ -15,7 +15,7 @@ ROUGHER = BASE.replace("friction: 0.35", "friction: 0.5")
 OWN = [
     "moved.scene.yaml",
     "  objects.cup.friction: 0.7 → 0.9",
-    "  (only what this file says: git does not tell which revision of table.scene.yaml it extends here;",
+    "  (only the keys of this file: git does not pass the revision of table.scene.yaml it extends here;",
     "   `simfoundry log moved.scene.yaml` shows each commit in full)",
 ]
 WHOLE = ["moved.scene.yaml", "  cup: friction 0.7 → 0.9", "  1 changed"]
@@ -198,8 +198,8 @@ def test_what_comes_and_goes_and_cannot_be_read_is_told(repository: Repository) 
     repository.commit("gone")
     lines = _log("moved.scene.yaml")
     heads = {line.partition("org: ")[2]: lines[k + 1] for k, line in enumerate(lines) if line[:2] != "  "}
-    assert heads["gone"].startswith("  cannot be compared: nothing is sound in")
-    assert heads["broken"].startswith("  cannot be compared: nothing is sound in")
+    assert heads["gone"].startswith("  cannot be compared: no part of")
+    assert heads["broken"].startswith("  cannot be compared: no part of")
     assert heads["two"] == "  cup: friction 0.7 → 0.9"
 
 
@@ -212,7 +212,7 @@ def test_what_comes_and_goes_and_cannot_be_read_is_told(repository: Repository) 
         (["--", "--all", "moved.scene.yaml"], "`--all` is neither a file nor a revision"),
         (["a", "b", "moved.scene.yaml"], "give one document"),
         (["parts"], "parts is a folder; give one document"),
-        (["../elsewhere.scene.yaml"], "is in no git repository"),
+        (["../elsewhere.scene.yaml"], "is not in a git repository"),
     ],
 )
 @pytest.mark.usefixtures("repository")

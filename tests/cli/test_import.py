@@ -33,7 +33,7 @@ def test_it_says_what_came_and_what_was_left_out(cup: Path, tmp_path: Path) -> N
     assert result.output.splitlines() == [
         f"{out}  from URDF: 1 body, 1 link",
         "1 element was left out:",
-        "  `<stiffness>` of a link: the language has no word for it",
+        "  `<stiffness>` of a link: the scene language cannot express it",
         "1 name changed: cup/Cup -> cup",
     ]
     assert "mass: 0.2" in out.read_text()
@@ -49,7 +49,7 @@ def test_strict_makes_what_was_left_out_a_finding(cup: Path, tmp_path: Path) -> 
 def test_json_has_every_note_and_name(cup: Path, tmp_path: Path) -> None:
     report = json.loads(_run(cup, "-o", tmp_path / "a.scene.yaml", "--json").output)
     assert report["notes"] == [
-        {"kind": "dropped", "what": "`<stiffness>` of a link", "why": "the language has no word for it"}
+        {"kind": "dropped", "what": "`<stiffness>` of a link", "why": "the scene language cannot express it"}
     ]
     assert (report["format"], report["bodies"]) == ("URDF", 1)
 

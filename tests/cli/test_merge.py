@@ -124,7 +124,7 @@ def part(repository: Repository, ours: tuple[str, str], theirs: tuple[str, str])
 LIGHTER, ROUGHER = ("mass: 0.2", "mass: 0.15  # weighed"), ("friction: 0.5", "friction: 0.7  # felt")
 
 
-def test_edits_on_neighbouring_lines_conflict_as_text(start: Start) -> None:
+def test_edits_on_neighboring_lines_conflict_as_text(start: Start) -> None:
     repository = start(TEXT)
     part(repository, LIGHTER, ROUGHER)
     repository.git("merge", "other", code=1)

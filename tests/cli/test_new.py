@@ -174,13 +174,13 @@ def test_nothing_is_overwritten_without_force(project: Path) -> None:
 @pytest.mark.parametrize(
     ("args", "words"),
     [
-        (["desk"], "does not say its kind"),
-        (["scene", "a.task.yaml"], "a scene is not kept in `a.task.yaml`"),
+        (["desk"], "the kind of `desk` is unclear"),
+        (["scene", "a.task.yaml"], "`a.task.yaml` is not the name of a scene"),
         (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins, policy"),
         (["a.task.yaml"], "there is none"),
         (["a.cousins.yaml"], "there is none"),
         (["a.scene.yaml", "--name", "My Desk"], "`My Desk` cannot be a name"),
-        (["123.scene.yaml"], "no name can be made of `123`"),
+        (["123.scene.yaml"], "no name can be derived from `123`"),
         (["a.scene.yaml", "--from", "simfoundry.yaml"], "`--from` is for tasks and recipes"),
         (["a.task.yaml", "--from", "nowhere.scene.yaml"], "does not exist"),
     ],
@@ -264,7 +264,7 @@ def test_a_source_with_errors_is_shown(project: Path) -> None:
     assert done.code == 2
     done.one_line("bad.scene.yaml:3:1", "SF101", "`objets`")
     made("fine.scene.yaml")
-    assert "a task extends another task" in run("new", "a.task.yaml", "--extends", "fine.scene.yaml").err
+    assert "a task can only extend another task" in run("new", "a.task.yaml", "--extends", "fine.scene.yaml").err
     assert "there are several" in run("new", "a.task.yaml").err
 
 

@@ -49,8 +49,8 @@ def test_away_from_the_working_folder_the_closest_common_one_is_marked(tmp_path:
     assert (away / "scenes" / MARKER).is_file()
     done = run("new", "task", away / "tasks" / "stack", "--from", away / "scenes" / "desk.scene.yaml")
     assert done.code == 2 and not (away / "tasks").exists()
-    assert f"belongs to the project {away / 'scenes'}, which does not hold" in done.err
-    assert f"move all below {away / 'scenes'}, or its {MARKER} to {away}" in done.err
+    assert f"belongs to the project {away / 'scenes'}, which does not contain" in done.err
+    assert f"move all files into {away / 'scenes'}, or its {MARKER} to {away}" in done.err
     (away / "scenes" / MARKER).rename(away / MARKER)  # what it says
     assert run("new", "task", away / "tasks" / "stack", "--from", away / "scenes" / "desk.scene.yaml").code == 0
     assert load(away / "tasks" / "stack.task.yaml").all_findings() == []
@@ -65,7 +65,7 @@ def test_what_belongs_to_everybody_is_not_marked(tmp_path: Path, monkeypatch: py
     assert run("new", "desk.scene.yaml").code == 0 and not (home / "me" / MARKER).exists()
     assert load(Path("desk.scene.yaml")).all_findings() == []
     assert run("new", "a/desk.scene.yaml").code == 0 and (home / "me" / "a" / MARKER).is_file()
-    with pytest.raises(NoProjectError, match="where other things lie, too; move them below a folder of their own"):
+    with pytest.raises(NoProjectError, match="which also contains unrelated files; move them into a separate folder"):
         common_project(Path("b/x.scene.yaml"), Path("c/y.task.yaml"))
     assert markers(common_project(Path("/x.scene.yaml"))) == {}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.runtime.outputs import MARK, ensure_replaceable, is_generated
+from simfoundry.runtime.files import MARK, ensure_replaceable, is_generated
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
 
@@ -50,7 +50,7 @@ WRITERS = {
     "merge": ("desk.scene.yaml", "desk.scene.yaml", "other.scene.yaml", "-o"),
     "flatten": ("desk.scene.yaml", "-o"),
     "correlate": ("real.csv", "sim.csv", "--svg"),
-    "verify": ("desk.scene.yaml", "--no-behaviours", "--engine", "usdview", "--html"),
+    "verify": ("desk.scene.yaml", "--no-behaviors", "--engine", "usdview", "--html"),
 }
 """Commands that write a file, with their arguments up to its path."""
 

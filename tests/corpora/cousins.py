@@ -35,8 +35,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.cousins.run.report import read_manifest
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
@@ -159,7 +158,7 @@ def validity(root: Path, count: int, jobs: int, only: str = "") -> bool:
     good = True
     for recipe in [only] if only else recipes("scene"):
         out = make(root, recipe, recipe, count, "-j", str(jobs), "--gallery", "0")
-        entries = [e for e in read_manifest(out)["cousins"] if "scene" in e["files"]]
+        entries = [e for e in json.loads((out / "manifest.json").read_bytes())["cousins"] if "scene" in e["files"]]
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
             files = [out / entry["files"]["scene"] for entry in entries]
             reads = [r for some in pool.map(reread, files, [tuple(e["asked"]) for e in entries]) for r in some]

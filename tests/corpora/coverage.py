@@ -1,11 +1,11 @@
-"""Is every predicate that a recipe allows realised, of every object? ``python -m tests.corpora.coverage [SCENE]``.
+"""Is every predicate that a recipe allows realized, of every object? ``python -m tests.corpora.coverage [SCENE]``.
 
 Of scenes of specs/, each free object is placed by each side predicate around each anchor, the two alone, with gaps and
 turns as recipes have them; and by ``OnTop`` and ``Inside`` on and in what can carry something. Each pair gets some
 tries until a layout passes every check: ``--tries`` where it is known to be possible, ``--few`` elsewhere. The table
-says why what was not realised was not: certain before any try, or what physics said.
+says why what was not realized was not: certain before any try, or what physics said.
 
-Exit code 1 where a side predicate is never realised though nothing makes it impossible, or where one of the goals of
+Exit code 1 where a side predicate is never realized though nothing makes it impossible, or where one of the goals of
 the paper's tasks in the cluttered scene is not: those are known to be possible.
 """
 
@@ -53,8 +53,8 @@ GOALS = {
 """What the paper's tasks ask for, so that it is possible."""
 
 
-def realised(twin: Twin, name: str, word: str, anchor: str, tries: int) -> tuple[int, str]:
-    """In how many tries a predicate was realised, or 0 and why not."""
+def realized(twin: Twin, name: str, word: str, anchor: str, tries: int) -> tuple[int, str]:
+    """In how many tries a predicate was realized, or 0 and why not."""
     axis = SceneAxis(anchor=anchor, objects={name: (word,)}, gap=(0.01, 0.25))  # type: ignore[dict-item]
     reasons: Counter[str] = Counter()
     for k in range(tries):
@@ -96,14 +96,14 @@ def main(arguments: list[str]) -> int:
                 for word in (*SIDES, *DROPPED):
                     text = f"{word}({name}, {anchor})"
                     wanted = word in SIDES or text in GOALS.get(scene, ())
-                    tries, why = realised(twin, name, word, anchor, options.tries if wanted else options.few)
-                    counts["realised" if tries else "impossible" if why.startswith("impossible") else "never"] += 1
+                    tries, why = realized(twin, name, word, anchor, options.tries if wanted else options.few)
+                    counts["realized" if tries else "impossible" if why.startswith("impossible") else "never"] += 1
                     bad = not tries and wanted and not why.startswith("impossible")
                     missed += bad
                     if not tries:
                         print(f"  {'MISSED ' if bad else ''}{text}: {why[:150]}")
             print(f"{scene:>16} around {anchor:<10} {dict(counts)}", flush=True)
-    print("every predicate realised where it is possible" if not missed else f"{missed} predicates missed")
+    print("every predicate realized where it is possible" if not missed else f"{missed} predicates missed")
     return 1 if missed else 0
 
 

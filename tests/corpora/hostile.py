@@ -108,7 +108,7 @@ def path_out(path: Path) -> None:
 
 
 def ring_of_links(path: Path) -> None:
-    """An asset that is a ring of links."""
+    """An asset whose joints form a cycle."""
     (path.parent / "a.obj").symlink_to("b.obj")
     (path.parent / "b.obj").symlink_to("a.obj")
     path.write_text(HEAD + "objects: {a: {asset: a.obj, mass: 1}}\n")

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.evaluate.statistics.correlation import Draws, agreements
+from simfoundry.evaluate.statistics.correlation import Draws, Score, agreements
 from simfoundry.evaluate.statistics.metrics import pearson
-from simfoundry.evaluate.statistics.scores import Score
 from simfoundry.geometry.frames import Array
 
 ROLLOUTS, COMPARISONS = 25, 300

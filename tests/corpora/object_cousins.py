@@ -122,7 +122,7 @@ def table(tasks: list[str], count: int, seed: int, out: Path, gallery: Path | No
     if gallery is not None:
         from tests.corpora.object_gallery import draw
 
-        rows = {item.spec.name: (case.name, item, found) for case, item, found in shown}  # a cup of each colour once
+        rows = {item.spec.name: (case.name, item, found) for case, item, found in shown}  # a cup of each color once
         draw(gallery, list(rows.values()))
     print("every object has enough" if not short else f"{short} objects fall short")
     return int(short > 0)
@@ -133,7 +133,7 @@ def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Pa
     from simfoundry.evaluate.expert.policy import ExpertPolicy
     from simfoundry.evaluate.resets.starts import starts
     from simfoundry.evaluate.rollouts.rollout import rollout
-    from simfoundry.evaluate.tasks.task import load_task
+    from simfoundry.evaluate.task import load_task
     from simfoundry.worlds import open_world
 
     won = total = 0

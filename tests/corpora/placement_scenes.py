@@ -122,7 +122,7 @@ def stool(width: float, height: float, leg: float = 0.02, seat: float = 0.02) ->
 
 
 def pegs(length: float, thick: float, height: float, tilt_deg: float) -> Data:
-    """A wall with a peg towards +x that rises to its end."""
+    """A wall with a peg toward +x that rises to its end."""
     lean = math.radians(tilt_deg)
     at = (length / 2 * math.cos(lean), 0.0, height + length / 2 * math.sin(lean))
     return {
@@ -157,14 +157,14 @@ def pair(rng: Rng, reach: float) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def centred(shape: Data) -> bool:
+def centered(shape: Data) -> bool:
     """Whether its frame is in its middle; else it is at the middle of its base."""
     return any(key in shape for key in ("box", "cylinder", "sphere", "capsule"))
 
 
 def put(b: Builder, name: str, shape: Data, height: float, x: float, y: float, z: float, yaw: float) -> None:
     """Put a shape with its base at a height [m]."""
-    b.add(name, shape, (x, y, z + GAP + (height / 2 if centred(shape) else 0)), (0, 0, yaw))
+    b.add(name, shape, (x, y, z + GAP + (height / 2 if centered(shape) else 0)), (0, 0, yaw))
 
 
 # -- placements --------------------------------------------------------------------------------------------------------

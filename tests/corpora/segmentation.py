@@ -42,7 +42,7 @@ def available(folder: str) -> bool:
 def pictures(folder: str, names: Sequence[str] = ()) -> Iterator[tuple[str, Frame, dict[str, Any]]]:
     """Name, frame and index entry of the pictures ``names`` of a capture set, or of all of them.
 
-    Depth is in metres and registered to colour.
+    Depth is in meters and registered to color.
     """
     import cv2
 

@@ -19,23 +19,23 @@ from pathlib import Path
 from simfoundry.reports.verification import summary
 from simfoundry.scene.lower import lower_file
 from simfoundry.verify import tables
-from simfoundry.verify.behaviours import BEHAVIOURS
+from simfoundry.verify.behaviors import BEHAVIORS
 from simfoundry.verify.engines import VerifyEngine, all_engines, find_installed, interpreters
 from simfoundry.verify.rest import RestResult, settle_subjects
 from simfoundry.verify.run import (
-    BehaviourResult,
+    BehaviorResult,
     ProofStatus,
     ReadbackResult,
     SceneBuilds,
     built,
-    measure_behaviours,
+    measure_behaviors,
     read_subjects,
 )
 from tests.specs.documents import SCENES
 from tests.targets.everything import write_everything
 
 HARD = ("free_fall", "slip_angle", "period", "decay", "drive", "mimic", "no_contact", "settled_mm", "settled_deg")
-"""The behaviours that have a bar; of the others the figure is reported."""
+"""The behaviors that have a bar; of the others the figure is reported."""
 
 PATIENCE_S = 900.0
 """What a build may take where the machine is busy with other things; only a hang takes longer."""
@@ -52,11 +52,11 @@ def main() -> int:
         subjects = _subjects(Path(folder), present)
         everything = built("everything", lower_file(write_everything(_folder(folder))), present, Path(folder) / "all")
         readings = read_subjects([*subjects, everything], here, _tell, workers, PATIENCE_S)
-        results = measure_behaviours(BEHAVIOURS, here, _tell, workers, PATIENCE_S)
+        results = measure_behaviors(BEHAVIORS, here, _tell, workers, PATIENCE_S)
         rested = settle_subjects(subjects, here, _tell, workers, PATIENCE_S)
     for table in (
         tables.readings_table(readings, found),
-        tables.behaviours_table(results, BEHAVIOURS, found),
+        tables.behaviors_table(results, BEHAVIORS, found),
         tables.rested_table(rested, found),
         "\n".join(tables.details(readings, results, rested)),
         "\n".join(tables.known_lines(readings, results)),
@@ -84,15 +84,15 @@ def _subjects(folder: Path, engines: Sequence[VerifyEngine]) -> list[SceneBuilds
 
 
 def _failures(
-    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult]
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviorResult], rested: Sequence[RestResult]
 ) -> list[str]:
     """A line for every bar that is missed."""
     wrong = [r for r in readings if r.verdict in (ProofStatus.MISMATCH, ProofStatus.FAILED)]
     lines = [f"read-back: {r.subject} in {r.engine}: {tables.reading_cell(r)}" for r in wrong]
     lines += [
-        f"behaviour: {m.behaviour} in {m.engine}: {tables.measured_cell(m)}"
+        f"behavior: {m.behavior} in {m.engine}: {tables.measured_cell(m)}"
         for m in results
-        if m.verdict is ProofStatus.FAILED or (m.verdict is ProofStatus.MISMATCH and m.behaviour in HARD)
+        if m.verdict is ProofStatus.FAILED or (m.verdict is ProofStatus.MISMATCH and m.behavior in HARD)
     ]
     apart = [r for r in rested if r.verdict is not ProofStatus.OK]
     return lines + [f"at rest: {r.subject} in {r.engine}: {tables.rested_cell(r)} {r.worst}" for r in apart]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.evaluate.benches import write_bench
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import Image, Observation, PolicyError, RobotReading
-from simfoundry.evaluate.policies.openpi import OpenpiPolicy
+from simfoundry.evaluate.policies.openpi import OpenpiPolicy, RoboarenaPolicy
 from simfoundry.evaluate.policies.remote import RemotePolicy
-from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.policy import PolicySpec

@@ -11,9 +11,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simfoundry.evaluate.statistics.correlation import Draws, RateAgreement, agreements, mean_agreement
+from simfoundry.evaluate.statistics.correlation import (
+    Draws,
+    RateAgreement,
+    Score,
+    ScoresError,
+    agreements,
+    mean_agreement,
+    read_scores,
+)
 from simfoundry.evaluate.statistics.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson, wilson
-from simfoundry.evaluate.statistics.scores import Score, ScoresError, read_scores
 from tests.cli.command import run
 
 RESULTS = Path(__file__).parents[2] / "specs" / "results"

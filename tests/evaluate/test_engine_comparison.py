@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.comparisons import compare_engines
 from simfoundry.evaluate.statistics.results import results
 from simfoundry.reports.evaluation import page
 from tests.cli.command import run

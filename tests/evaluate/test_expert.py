@@ -7,7 +7,7 @@ import pytest
 
 from simfoundry.evaluate.expert.policy import Skill, steps
 from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import lower_file
@@ -32,7 +32,7 @@ def test_a_line_through_a_cup_meets_two_walls(scene: Scene) -> None:
     assert len(spans) == 2
     left, right = spans
     assert left.width == pytest.approx(0.0032, abs=3e-4) and right.width == pytest.approx(0.0032, abs=3e-4)
-    outer = 0.03 + 0.08 / 0.095 * 0.01  # the wall of the asset leans outwards by 1 cm
+    outer = 0.03 + 0.08 / 0.095 * 0.01  # the wall of the asset leans outward by 1 cm
     assert right.end == pytest.approx(outer, rel=0.03) and left.start == pytest.approx(-outer, rel=0.03)
     assert right.facing > 0.95
 

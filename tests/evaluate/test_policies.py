@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simfoundry.evaluate.entries import ExpertChoice, RandomChoice, ReplayChoice, open_policy, parse_policy
 from simfoundry.evaluate.policies import lerobot
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choice import ExpertChoice, RandomChoice, ReplayChoice, open_policy, parse_policy
 from simfoundry.evaluate.policies.groot import GrootPolicy
-from simfoundry.evaluate.policies.openpi import OpenpiPolicy
-from simfoundry.evaluate.policies.random_walk import HORIZON, STEP, RandomPolicy
-from simfoundry.evaluate.policies.replay import load_replay
-from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
+from simfoundry.evaluate.policies.open_loop import HORIZON, STEP, RandomPolicy, load_replay
+from simfoundry.evaluate.policies.openpi import OpenpiPolicy, RoboarenaPolicy
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.policy import PolicySpec
@@ -301,7 +299,7 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, prot
 
 def test_nothing_of_a_server_is_loaded_before_it_is_asked() -> None:
     code = (
-        "import sys; from simfoundry.evaluate.policies.choice import open_policy, parse_policy\n"
+        "import sys; from simfoundry.evaluate.entries import open_policy, parse_policy\n"
         "texts = [f'{n}:a?action_space=joint_position' for n in ('openpi', 'roboarena', 'groot')]\n"
         "policies = [open_policy(parse_policy(text)) for text in texts]\n"
         "print([m for m in ('websockets', 'zmq', 'msgpack', 'PIL', 'torch', 'mujoco') if m in sys.modules])"

@@ -8,11 +8,10 @@ import msgpack
 import numpy as np
 import pytest
 
-from simfoundry.evaluate.policies import zmq_socket
+from simfoundry.evaluate.policies import groot
 from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
-from simfoundry.evaluate.policies.groot import GrootPolicy
-from simfoundry.evaluate.policies.groot_modality import eef_9d
-from simfoundry.evaluate.policies.observation_keys import resize_with_pad
+from simfoundry.evaluate.policies.groot import GrootPolicy, eef_9d
+from simfoundry.evaluate.policies.remote import resize_with_pad
 from simfoundry.geometry.frames import Pose
 from tests.evaluate.drive import GOOD, HORIZON, expected, observation, spec_of
 from tests.evaluate.groot_server import LANGUAGE, GrootServer, config, modalities, serving
@@ -21,7 +20,7 @@ from tests.evaluate.groot_server import LANGUAGE, GrootServer, config, modalitie
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """No server of the tests needs long to say that it is there."""
-    monkeypatch.setattr(zmq_socket, "PING_S", 0.4)
+    monkeypatch.setattr(groot, "PING_S", 0.4)
 
 
 def policy(address: str, **more: Any) -> GrootPolicy:
@@ -116,10 +115,10 @@ def test_a_server_that_takes_something_else_is_told(changed: dict[str, Any], wor
 
 
 def action(**parts: Any) -> bytes:
-    from simfoundry.evaluate.policies.groot_codec import pack
+    from simfoundry.evaluate.policies.codec import GROOT_CODEC
 
     sound = {"joint_position": np.zeros((1, 15, 7), np.float32), "gripper_position": np.zeros((1, 15, 1), np.float32)}
-    return pack([{k: v for k, v in (sound | parts).items() if v is not None}, {}])
+    return GROOT_CODEC.pack([{k: v for k, v in (sound | parts).items() if v is not None}, {}])
 
 
 @pytest.mark.parametrize(
@@ -135,8 +134,8 @@ def action(**parts: Any) -> bytes:
         (action(joint_position=np.zeros((2, 15, 7))), "`joint_position` is of shape (2, 15, 7)"),
         (action(gripper_position=np.zeros((1, 14, 1))), "15 steps for the joints but 14 for the gripper"),
         (action(gripper_position=np.zeros((1, 15, 1), bool)), "an array of `bool`"),
-        (action(joint_position=np.full((1, 15, 7), np.nan)), "`nan` in action 0"),
-        (action(joint_position=np.zeros((1, 15, 6))), "7 numbers per action, but the robots take 8"),
+        (action(joint_position=np.full((1, 15, 7), np.nan)), "number 0 of action 0 is nan"),
+        (action(joint_position=np.zeros((1, 15, 6))), "for 7 joints and the gripper of `arm`; got (15, 7)"),
     ],
 )
 def test_an_answer_that_is_none_is_told_and_recorded(answer: bytes, words: str) -> None:
@@ -154,7 +153,7 @@ def test_an_answer_that_is_none_is_told_and_recorded(answer: bytes, words: str) 
 
 
 def test_an_answer_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zmq_socket, "LARGEST", 2**20)
+    monkeypatch.setattr(groot, "LARGEST", 2**20)
     with serving(GrootServer(answers={"get_action": bytes(2**21)})) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)

@@ -15,9 +15,8 @@ from websockets.sync.server import ServerConnection
 
 from simfoundry.evaluate.policies import websocket
 from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
-from simfoundry.evaluate.policies.codec import pack, unpack
-from simfoundry.evaluate.policies.openpi import OpenpiPolicy
-from simfoundry.evaluate.policies.roboarena import RESET_DONE, RoboarenaPolicy
+from simfoundry.evaluate.policies.codec import OPENPI_CODEC
+from simfoundry.evaluate.policies.openpi import RESET_DONE, OpenpiPolicy, RoboarenaPolicy
 from simfoundry.evaluate.policies.serve import serve
 from tests.evaluate.drive import (
     GOOD,
@@ -69,7 +68,7 @@ def test_what_openpi_is_asked() -> None:
     shown = observation(3)
     ((_, _), (who, asked), *_), *_ = read_exchange("openpi")
     assert who == "client" and isinstance(asked, bytes)
-    question = unpack(asked)
+    question = OPENPI_CODEC.unpack(asked)
     assert list(question) == [
         "observation/exterior_image_1_left", "observation/wrist_image_left",
         "observation/joint_position", "observation/gripper_position", "prompt",
@@ -84,7 +83,7 @@ def test_what_openpi_is_asked() -> None:
 
 def test_what_roboarena_is_asked() -> None:
     first, _ = read_exchange("roboarena")
-    said = [unpack(message) for who, message in first if who == "client" and isinstance(message, bytes)]
+    said = [OPENPI_CODEC.unpack(message) for who, message in first if who == "client" and isinstance(message, bytes)]
     assert [question["endpoint"] for question in said] == ["reset", "infer", "infer", "reset", "infer"]
     assert [question.get("session_id") for question in said] == [None, "rollout-0", "rollout-0", None, "rollout-1"]
     assert said[1]["observation/cartesian_position"].shape == (6,)
@@ -97,7 +96,7 @@ def answering(*answers: bytes | str, greeting: bytes | str | None = None) -> Any
     left = list(answers)
 
     def handle(connection: ServerConnection) -> None:
-        connection.send(pack({}) if greeting is None else greeting)
+        connection.send(OPENPI_CODEC.pack({}) if greeting is None else greeting)
         for _ in connection:
             if not left:
                 return
@@ -106,7 +105,7 @@ def answering(*answers: bytes | str, greeting: bytes | str | None = None) -> Any
     return handle
 
 
-GOOD_ANSWER = pack({"actions": CHUNK})
+GOOD_ANSWER = OPENPI_CODEC.pack({"actions": CHUNK})
 
 
 @pytest.mark.parametrize(
@@ -116,11 +115,14 @@ GOOD_ANSWER = pack({"actions": CHUNK})
         ("", "failed: it gives no reason"),
         (b"\xc1", "cannot be read: it is not msgpack"),
         (b"", "cannot be read: it is not msgpack"),
-        (pack([1, 2]), "has no `actions`: a `list`"),
-        (pack({"action": CHUNK}), "has no `actions`: action"),
-        (pack({"actions": CHUNK.tolist()}), "a `list`, not with an array"),
-        (pack({"actions": CHUNK[:, :7]}), "7 numbers per action"),
-        (pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}), "`nan` in action 2, number 3"),
+        (OPENPI_CODEC.pack([1, 2]), "has no `actions`: a `list`"),
+        (OPENPI_CODEC.pack({"action": CHUNK}), "has no `actions`: action"),
+        (OPENPI_CODEC.pack({"actions": CHUNK.tolist()}), "a `list`, not with an array"),
+        (OPENPI_CODEC.pack({"actions": CHUNK[:, :7]}), "got (15, 7)"),
+        (
+            OPENPI_CODEC.pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}),
+            "number 3 of action 2 is nan",
+        ),
         (
             msgpack.packb({"actions": {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1, 8]}}),
             "cannot be read: it holds an array of `object`",
@@ -153,7 +155,7 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
     ("greeting", "words"),
     [
         ("hello", "failed: hello"),
-        (pack([1]), "sent a `list` first, not a mapping"),
+        (OPENPI_CODEC.pack([1]), "sent a `list` first, not a mapping"),
         (b"\xc1", "cannot be read"),
     ],
 )
@@ -169,7 +171,7 @@ def test_a_server_that_does_not_answer_in_time() -> None:
     asleep = threading.Event()
 
     def handle(connection: ServerConnection) -> None:
-        connection.send(pack({}))
+        connection.send(OPENPI_CODEC.pack({}))
         connection.recv()
         connection.send(GOOD_ANSWER)
         connection.recv()
@@ -215,10 +217,10 @@ class Told:
         self.questions: list[dict[str, Any]] = []
 
     def __call__(self, connection: ServerConnection) -> None:
-        connection.send(pack(dict(self.greeting)))
+        connection.send(OPENPI_CODEC.pack(dict(self.greeting)))
         for data in connection:
             assert isinstance(data, bytes)
-            question = unpack(data)
+            question = OPENPI_CODEC.unpack(data)
             self.questions.append(question)
             if len(self.questions) in self.hang_up:
                 connection.close()
@@ -228,7 +230,7 @@ class Told:
                 continue
             steps = np.arange(15)[:, None]
             chunk = np.hstack([question["observation/joint_position"].astype(float) + 0.01 * steps, steps > 5])
-            connection.send(pack({"actions": chunk}))
+            connection.send(OPENPI_CODEC.pack({"actions": chunk}))
 
 
 def test_a_lost_connection_is_made_anew_and_the_question_put_again() -> None:
@@ -321,7 +323,7 @@ def test_a_server_that_wants_no_more_than_there_is(wish: dict[str, Any]) -> None
 
 
 def test_a_bare_array_is_an_answer_of_roboarena() -> None:
-    with handled(answering(RESET_DONE, pack(CHUNK), greeting=pack({}))) as address:
+    with handled(answering(RESET_DONE, OPENPI_CODEC.pack(CHUNK), greeting=OPENPI_CODEC.pack({}))) as address:
         policy = policy_of(spec_of("roboarena", address))
         policy.reset(GOOD, 0)
         np.testing.assert_allclose(policy.infer(observation(0)), expected(0), atol=1e-12)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from simfoundry.evaluate.statistics.comparisons import compare_policies
 from simfoundry.evaluate.statistics.metrics import (
     DRAWN_FLIPS,
     EXACT_FLIPS,
@@ -20,8 +21,7 @@ from simfoundry.evaluate.statistics.metrics import (
     stratified,
     wilson,
 )
-from simfoundry.evaluate.statistics.pools import comparisons, pools
-from simfoundry.evaluate.statistics.results import results
+from simfoundry.evaluate.statistics.results import pools, results
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
 
@@ -105,17 +105,19 @@ def test_permutations_are_scipys_exact_and_drawn() -> None:
 def test_policies_are_paired_by_start_and_corrected_for_their_number() -> None:
     rows = [record("a", "good", k) for k in range(6)] + [record("a", "bad", k, won=False) for k in range(6)]
     rows += [record("a", "late", 9)]  # from no start of the others
-    (one,) = comparisons(rows)
+    (one,) = compare_policies(rows)
     assert (one.first, one.second, one.pairs, one.both, one.first_only, one.second_only) == ("good", "bad", 6, 0, 6, 0)
     assert one.p == pytest.approx(2 / 2**6) and one.progress == pytest.approx(0.5)
     assert "only good succeeds in 6, only bad in 0; p = 0.0312 (exact McNemar test, Holm)" in one.sentence
     rows += [record("a", "third", k, won=k < 3) for k in range(6)]
-    assert [c.p_holm for c in comparisons(rows)] == pytest.approx([3 * 2 / 2**6, 0.5, 0.5])
+    assert [c.p_holm for c in compare_policies(rows)] == pytest.approx([3 * 2 / 2**6, 0.5, 0.5])
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    other = comparisons([*rows, record("a", "good", 0, engine="pybullet"), record("a", "bad", 0, engine="pybullet")])
+    other = compare_policies(
+        [*rows, record("a", "good", 0, engine="pybullet"), record("a", "bad", 0, engine="pybullet")]
+    )
     assert [c.engine for c in other].count("pybullet") == 1
     missing = [{**r, "end": "no answer"} if r["policy"] == "bad" and r["index"] else r for r in rows]
-    assert next(c for c in comparisons(missing) if c.second == "bad").pairs == 1
+    assert next(c for c in compare_policies(missing) if c.second == "bad").pairs == 1
 
 
 COUSIN = "\norigin:\n  cousin: {recipe: benches, seed: 0, index: %d}\n"

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simfoundry.evaluate.entries import open_policy, parse_policy
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.evaluate.policies.choice import open_policy, parse_policy
 from simfoundry.evaluate.policies.serve import serve
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
@@ -192,4 +192,4 @@ def test_the_server_of_the_documentation_and_what_it_answers_wrongly(here: Path)
         command = ("eval", "push.task.yaml", "-p", "my_policy.policy.yaml", "-n", "2", "-o", "out", "--no-video")
         result = run(*command)
         assert result.code == 0 and "0/2" in result.out and "2 by an invalid answer" in result.out, result.err
-        assert "answered with `nan` in action 0, number 0" in result.err
+        assert "the actions of my_policy must be finite; number 0 of action 0 is nan" in result.err

@@ -13,9 +13,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import FARTHEST, Controller
-from simfoundry.evaluate.rollouts.progress import HOLD, Progress
-from simfoundry.evaluate.rollouts.rollout import RolloutEnd, Video, rollout
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.rollouts.rollout import HOLD, Progress, RolloutEnd, Video, rollout
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.render.gl import Engine, choose_engine

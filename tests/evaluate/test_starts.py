@@ -14,9 +14,9 @@ import pytest
 
 import simfoundry.evaluate.resets.starts as module
 from simfoundry.assets.cache import Cache
-from simfoundry.evaluate.resets.grid import bounds, deal
+from simfoundry.evaluate.resets.placement import bounds, deal
 from simfoundry.evaluate.resets.starts import RolloutStart, StartError, starts
-from simfoundry.evaluate.tasks.task import Task, load_task
+from simfoundry.evaluate.task import Task, load_task
 from simfoundry.predicates import Judge
 from simfoundry.spec.models.task import Reset, ResetRegion
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -78,7 +78,7 @@ def test_another_process_with_another_hash_seed_gives_the_same_starts(
     push_file: Path, push_starts: tuple[RolloutStart, ...]
 ) -> None:
     code = (
-        "import sys; from pathlib import Path; from simfoundry.evaluate.tasks.task import load_task;"
+        "import sys; from pathlib import Path; from simfoundry.evaluate.task import load_task;"
         "from simfoundry.evaluate.resets.starts import starts;"
         "print(*[s.digest for s in starts(load_task(Path(sys.argv[1])), 2)])"
     )

@@ -8,7 +8,7 @@ import pytest
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.rollouts.control import physics_steps
-from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
+from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.conftest import REPOSITORY

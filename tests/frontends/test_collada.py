@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.frontends.collada import read_collada
+from simfoundry.frontends.meshes import read_collada
 
 HEAD = '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
 MESH = """<library_geometries><geometry id="g"><mesh>
@@ -44,7 +44,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_units_axes_nodes_and_colors(path: Path) -> None:
-    """A tetrahedron's corners in centimetres with y up, moved by two nodes of which one mirrors."""
+    """A tetrahedron's corners in centimeters with y up, moved by two nodes of which one mirrors."""
     nodes = f'<node id="a"><translate>0 100 0</translate><node id="b"><scale>1 1 -1</scale>{PLACED}</node></node>'
     path.write_text(collada(nodes, asset='<unit meter="0.01"/><up_axis>Y_UP</up_axis>'))
     (part,) = read_collada(path, (1.0, 1.0, 2.0))

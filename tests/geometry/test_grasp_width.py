@@ -44,7 +44,7 @@ KINDS = {
     "tennis_ball": 65.8,
     "trash_can": 50.0,
 }
-"""Widths in millimetres: walls of what is hollow, caps and necks, balls at their equator, a plate from rim to rim."""
+"""Widths in millimeters: walls of what is hollow, caps and necks, balls at their equator, a plate from rim to rim."""
 
 SHAPES = {
     "shape: {box: [0.2, 0.06, 0.3]}": 0.06,

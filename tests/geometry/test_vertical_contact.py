@@ -36,7 +36,7 @@ ON_CORNER = (45.0, math.degrees(math.atan(1 / SQRT2)), 0.0)
 
 Angles = tuple[float, float, float]
 Case = tuple[Primitive, Angles, tuple[float, float], Primitive, Angles, float]
-"""Thing, its rotation, its offset, carrier, its rotation, height of centre over centre."""
+"""Thing, its rotation, its offset, carrier, its rotation, height of center over center."""
 
 HEIGHTS: dict[str, Case] = {
     "box on box": (CUBE, FLAT, (0.03, 0), CUBE, FLAT, 0.1),

@@ -16,9 +16,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from simfoundry.models.images import HttpImages, images_from_environment
-from simfoundry.models.meshes import HttpMeshes, meshes_from_environment
-from simfoundry.models.web import ModelError, post
+from simfoundry.models.generators import (
+    HttpImages,
+    HttpMeshes,
+    ModelError,
+    images_from_environment,
+    meshes_from_environment,
+    post,
+)
 
 PICTURE = b"\x89PNG\r\n\x1a\nedited"
 MESH = b"glTF\x02\x00\x00\x00made"

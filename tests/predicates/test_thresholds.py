@@ -1,4 +1,4 @@
-"""Every threshold of docs/predicates.md, crossed from both sides by a tenth of a millimetre, a degree or a per cent."""
+"""Every threshold of docs/predicates.md, crossed from both sides by a tenth of a millimeter, a degree or a per cent."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from simfoundry.predicates.at import AT
+from simfoundry.predicates.holding import RISE
 from simfoundry.predicates.judging import thresholds as at
-from simfoundry.predicates.lifted import RISE
-from simfoundry.predicates.next_to import NEAR_SHARE
-from simfoundry.predicates.opening import OPEN_SHARE
-from simfoundry.predicates.upright import UPRIGHT_DEG
+from simfoundry.predicates.pose import AT_DISTANCE, OPEN_SHARE, UPRIGHT_DEG
+from simfoundry.predicates.relative import NEAR_SHARE
 from tests.predicates.conftest import Setting, changed, posed
 
 STEP = 1e-4
@@ -27,7 +25,7 @@ def crosses(value: Callable[[float], bool], threshold: float, step: float, below
     assert value(threshold + step) is (not below)
 
 
-def test_touching_ends_one_millimetre_apart(boxes: Setting) -> None:
+def test_touching_ends_one_millimeter_apart(boxes: Setting) -> None:
     crosses(lambda gap: boxes.margin("Touching(a, b)", a=posed(BESIDE + gap, 0, 0.03)) > 0, at.TOUCH, STEP, True)
 
 
@@ -124,9 +122,9 @@ def test_above_and_under_begin_where_the_plumb_line_meets_the_other(boxes: Setti
     crosses(lambda y: boxes.margin("Under(a, b)", a=posed(0, y, -0.3)) > 0, 0.04, STEP, True)
 
 
-def test_at_ends_two_centimetres_away(boxes: Setting) -> None:
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT, STEP, True)
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT, STEP, True)
+def test_at_ends_two_centimeters_away(boxes: Setting) -> None:
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT_DISTANCE, STEP, True)
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT_DISTANCE, STEP, True)
 
 
 def test_upright_ends_at_ten_degrees(boxes: Setting) -> None:
@@ -134,7 +132,7 @@ def test_upright_ends_at_ten_degrees(boxes: Setting) -> None:
     crosses(leaning, UPRIGHT_DEG, 0.01, True)
 
 
-def test_lifted_begins_two_centimetres_higher(boxes: Setting) -> None:
+def test_lifted_begins_two_centimeters_higher(boxes: Setting) -> None:
     crosses(lambda rise: boxes.margin("Lifted(a)", a=posed(0.3, 0.1, 0.01 + rise)) > 0, RISE, STEP, False)
 
 

@@ -104,7 +104,7 @@ def test_every_engine_uses_the_camera_that_the_mjcf_names() -> None:
         facts = [getattr(theirs, f) / theirs.frustum_near for f in fields] + [*theirs.pos, *theirs.forward, *theirs.up]
         _aim(theirs, skewed_camera())
         ours = [getattr(theirs, f) / theirs.frustum_near for f in fields] + [*theirs.pos, *theirs.forward, *theirs.up]
-    # Positions of a fixed camera are the mean of both eyes, moved apart by a few centimetres.
+    # Positions of a fixed camera are the mean of both eyes, moved apart by a few centimeters.
     np.testing.assert_allclose(facts[:4] + facts[7:], ours[:4] + ours[7:], atol=1e-5)
     np.testing.assert_allclose(facts[4:7], ours[4:7], atol=0.05)
 

@@ -20,12 +20,12 @@ from simfoundry.scene.model import Camera, Light, LightType, Link, Scene, SceneO
 from simfoundry.scene.state import SceneState
 from tests.tabletop import INERTIA, box, front_camera, label_png, one, pose, rgba, tabletop
 
-GREY = rgba("808080")
+GRAY = rgba("808080")
 WHITE = rgba("ffffff")
 
 
 def skewed_camera(eye: tuple[float, float, float] = (-0.4, 0.3, 0.5), roll: float = 0.2) -> Camera:
-    """Off-centre principal point, fx != fy, rolled about its own axis."""
+    """Off-center principal point, fx != fy, rolled about its own axis."""
     X_WC = look_at(np.array(eye), np.array([0.03, -0.02, 0.04])) @ Pose.of(q=quat_from_rpy(0, 0, roll))
     return Camera("skewed", 96, 72, 150.0, 120.0, 40.3, 41.9, X_WC)
 
@@ -47,7 +47,7 @@ def box_depth(size: Array, X_WG: Pose, origin: Array, directions: Array) -> Arra
     return np.asarray(np.where((enter < leave) & (enter > 0), enter, np.nan))
 
 
-def alone(geometry: Geometry, X_WO: Pose, color: Array = GREY, lights: tuple[Light, ...] = ()) -> Scene:
+def alone(geometry: Geometry, X_WO: Pose, color: Array = GRAY, lights: tuple[Light, ...] = ()) -> Scene:
     return Scene("alone", frozen_array([0, 0, -9.81]), (one("thing", geometry, color, X_WO),), (), lights)
 
 
@@ -66,18 +66,18 @@ def test_depth_and_normals_of_a_turned_box_are_those_of_the_formula() -> None:
 
 
 def test_a_sphere_is_smooth_and_where_the_formula_puts_it() -> None:
-    centre, radius, camera = np.array([0.05, 0.02, 0.03]), 0.08, skewed_camera()
-    seen = raycast(alone(Sphere(radius), Pose.of(centre, quat_from_rpy(0.3, 0.5, 0.1))), camera)
+    center, radius, camera = np.array([0.05, 0.02, 0.03]), 0.08, skewed_camera()
+    seen = raycast(alone(Sphere(radius), Pose.of(center, quat_from_rpy(0.3, 0.5, 0.1))), camera)
     origin, d = rays_of(camera)
-    a, b = (d * d).sum(axis=-1), (d * (origin - centre)).sum(axis=-1)
-    root = b * b - a * ((origin - centre) @ (origin - centre) - radius**2)
+    a, b = (d * d).sum(axis=-1), (d * (origin - center)).sum(axis=-1)
+    root = b * b - a * ((origin - center) @ (origin - center) - radius**2)
     inside = root > 0
     expected = (-b[inside] - np.sqrt(root[inside])) / a[inside]
-    assert (seen.objects[inside] == 1).mean() > 0.99  # the inscribed mesh is thinner by a few micrometres
+    assert (seen.objects[inside] == 1).mean() > 0.99  # the inscribed mesh is thinner by a few micrometers
     assert not seen.objects[~inside].any()
     error = np.abs(seen.depth[inside] - expected)
     assert np.nanmedian(error) < radius * (1 - np.cos(np.pi / 48))
-    normal = (origin + expected[:, None] * d[inside] - centre) / radius
+    normal = (origin + expected[:, None] * d[inside] - center) / radius
     cosine = (normal * seen.normals[inside]).sum(axis=-1)
     assert np.nanpercentile(cosine, 1) > np.cos(np.radians(2.0))
 
@@ -130,7 +130,7 @@ def test_a_floor_keeps_only_what_is_nearer() -> None:
 
 
 def test_no_ray_slips_between_triangles_that_share_an_edge() -> None:
-    """Vertices are projected onto pixel centres, where a careless edge rule leaves holes or hits twice."""
+    """Vertices are projected onto pixel centers, where a careless edge rule leaves holes or hits twice."""
     grid = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0)), axis=-1) * 2
     corners = np.concatenate([grid, np.full((9, 9, 1), 1.0)], axis=-1)
     a, b, c, d = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
@@ -169,7 +169,7 @@ def dome(intensity: float) -> Light:
     return Light("dome", LightType.DOME, intensity, frozen_array([1, 1, 1]), Pose.of())
 
 
-def test_a_texture_is_upright_not_mirrored_and_true_in_colour() -> None:
+def test_a_texture_is_upright_not_mirrored_and_true_in_color() -> None:
     X_WC = look_at(np.array([0.2, -1.0, 0.1]), np.array([0.2, 0.0, 0.1]))
     camera = Camera("eye", 256, 128, 640.0, 640.0, 127.5, 63.5, X_WC)  # the board fills the picture exactly
     seen = raycast(alone(picture_board(label_png(256, 128)), Pose.of(), WHITE, (dome(1.0),)), camera)
@@ -210,7 +210,7 @@ def test_a_shadow_falls_exactly_where_the_box_hides_the_light(kind: LightType) -
     at = np.array([-0.5, 0.4, 0.9])
     X_WL = look_at(at, np.zeros(3)) @ Pose.of(q=[0, 1, 0, 0])  # a light shines along -z
     lights = (dome(0.1), Light("key", kind, 0.7, frozen_array([1, 1, 1]), X_WL))
-    objects = (one("floor", box(2, 2, 0.1), GREY, pose(0, 0, -0.05)), one("block", block, GREY, X_WB))
+    objects = (one("floor", box(2, 2, 0.1), GRAY, pose(0, 0, -0.05)), one("block", block, GRAY, X_WB))
     scene = Scene("shadow", frozen_array([0, 0, -9.81]), objects, (), lights)
     camera = Camera("eye", 200, 160, 240.0, 260.0, 95.0, 81.0, look_at(np.array([0.3, -0.6, 0.7]), np.zeros(3)))
     seen = raycast(scene, camera)
@@ -254,7 +254,7 @@ def test_an_empty_scene_is_sky_without_depth() -> None:
     assert seen.color.min() > 100
 
 
-def test_samples_smooth_the_colour_and_leave_the_rest_alone() -> None:
+def test_samples_smooth_the_color_and_leave_the_rest_alone() -> None:
     scene, camera = tabletop(), front_camera(160, 120)
     rough, smooth = raycast(scene, camera), raycast(scene, camera, samples=2)
     np.testing.assert_array_equal(rough.depth, smooth.depth)
@@ -288,7 +288,7 @@ def test_a_thin_visual_offset_in_its_link_and_a_turned_object_compose() -> None:
         pose(0.03, -0.02, 0.05, -0.5, 0.1, 0.3),
         box(0.1, 0.05, 0.02),
     )
-    body = Link("body", 0.1, frozen_array([0, 0, 0]), INERTIA, (Visual("v", shape, GREY, X_LG),), ())
+    body = Link("body", 0.1, frozen_array([0, 0, 0]), INERTIA, (Visual("v", shape, GRAY, X_LG),), ())
     scene = Scene("offset", frozen_array([0, 0, 0]), (SceneObject("o", "o", False, X_WO, (body,)),))
     camera = skewed_camera()
     expected = box_depth(Box(shape.size).size, X_WO @ X_LG, *rays_of(camera))

@@ -12,8 +12,7 @@ import pytest
 import simfoundry
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.geometry.frames import Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.spec.models.robot import RobotSpec
@@ -37,7 +36,7 @@ def test_it_reaches_as_far_as_is_said_and_hardly_further(demo_lift: Scene) -> No
     robot = demo_lift.robot("arm")
     arm, fingers = Arm(robot), jaws(robot)
     assert fingers is not None
-    height = 0.01 + float(fingers.tip[0])  # of the hand, whose pads are a centimetre above the ground
+    height = 0.01 + float(fingers.tip[0])  # of the hand, whose pads are a centimeter above the ground
     q, reached = arm.home, []
     for x in np.arange(0.40, 0.90, 0.02):
         solved = arm.solve_any(robot.X_WB @ Pose.of([x, 0.0, height], DOWN), q, np.random.default_rng(0))
@@ -48,13 +47,13 @@ def test_it_reaches_as_far_as_is_said_and_hardly_further(demo_lift: Scene) -> No
     assert reached[-1] == pytest.approx(KNOWN.reach, abs=0.021)
 
 
-def test_only_hand_and_wrist_can_touch_the_foot_and_neighbours_never_do(demo_lift: Scene) -> None:
+def test_only_hand_and_wrist_can_touch_the_foot_and_neighbors_never_do(demo_lift: Scene) -> None:
     native = mujoco_model(demo_lift.robot("arm"))
     assert native is not None
     read = read_robot(demo_lift.robot("arm"), native, "arm.")
     model = read.model
     link = {model.body(f"arm.link{k}").id: k for k in range(8)}
-    number = [next((link[b] for b in _upwards(model, int(body)) if b in link), 0) for body in model.geom_bodyid]
+    number = [next((link[b] for b in _upward(model, int(body)) if b in link), 0) for body in model.geom_bodyid]
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     for k in range(2000):
         data.qpos[:] = read.qpos if k == 0 else rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1])
@@ -66,7 +65,7 @@ def test_only_hand_and_wrist_can_touch_the_foot_and_neighbours_never_do(demo_lif
             assert (low, high) == (7, 7) or (low <= 2 and high >= 5)  # the fingers meet each other
 
 
-def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
+def _upward(model: mujoco.MjModel, body: int) -> Iterator[int]:
     while body:
         yield body
         body = int(model.body_parentid[body])

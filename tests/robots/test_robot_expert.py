@@ -10,7 +10,7 @@ import pytest
 from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd, rollout
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.worlds import open_world
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.tasks.task import load_task, need_robots
+from simfoundry.evaluate.task import load_task, need_robots
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load

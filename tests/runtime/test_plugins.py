@@ -49,7 +49,7 @@ def test_an_unknown_name_says_which_exist(site: Path) -> None:
     [
         ("ab:X", "import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
         ("ab:X", "def (", "SyntaxError: invalid syntax"),
-        ("ab:X", 'raise OSError("no\\n licence")', "OSError: no licence"),
+        ("ab:X", 'raise OSError("no\\n license")', "OSError: no license"),
         ("ab:X", "", "AttributeError: module 'ab' has no attribute 'X'"),
         ("ab:X", "X = 'text'", "`ab:X` is a str, not a float"),
     ],

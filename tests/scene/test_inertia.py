@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from simfoundry.scene.inertia import effective_inertias
+from simfoundry.scene.kinematics import effective_inertias, trees
 from simfoundry.scene.model import SceneObject
-from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.mechanisms import chain, gripper, pendulum, pot
 from tests.scenes import cabinet, fan, pose, scene_of

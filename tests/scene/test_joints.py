@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import contact_pairs, excluded_link_pairs, free_motions, link_poses, trees
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene
-from simfoundry.scene.poses import with_state
-from simfoundry.scene.state import SceneState
-from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
-from simfoundry.scene.trees import free_motions, trees
+from simfoundry.scene.state import SceneState, with_state
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
@@ -29,7 +26,7 @@ name: lamp
 materials:
   rubber: {density: 1100, friction: 0.9, torsional_friction: 0.003, rolling_friction: 0.001}
 links:
-  foot: {material: rubber, parts: {disc: {shape: {cylinder: {radius: 0.1, height: 0.02}}}}}
+  foot: {material: rubber, parts: {disk: {shape: {cylinder: {radius: 0.1, height: 0.02}}}}}
   arm: {density: 700, parts: {bar: {shape: {box: [0.02, 0.02, 0.3]}}}}
   shade: {density: 300, parts: {dome: {shape: {sphere: 0.06}}}}
   left: {density: 700, parts: {flap: {shape: {box: [0.02, 0.05, 0.05]}}}}

@@ -62,7 +62,7 @@ def test_what_is_weighed_needs_no_closed_mesh_and_no_parts(tmp_path: Path) -> No
     assert bare.inertia == pytest.approx(link.inertia)
 
 
-def test_a_centre_of_mass_alone_keeps_the_inertia_of_the_parts(tmp_path: Path) -> None:
+def test_a_center_of_mass_alone_keeps_the_inertia_of_the_parts(tmp_path: Path) -> None:
     body = "    mass: 0.6\n    inertial: {com: [0.01, 0, 0]}\n    parts: {felt: {shape: {box: [0.1, 0.2, 0.3]}}}\n"
     (link,) = _links(tmp_path, body)
     assert link.com == pytest.approx([0.01, 0, 0])

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.lathe import lathe_mesh
+from simfoundry.assets.solids import lathe_mesh
 from simfoundry.geometry.frames import Array, Pose, look_at, quat_from_rpy
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
@@ -23,7 +23,7 @@ from simfoundry.scene.misfits import certain_misfits, uncut
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
-from simfoundry.scene.poses import with_poses
+from simfoundry.scene.state import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.place import Place
@@ -111,8 +111,8 @@ def test_a_thing_whose_frame_is_not_in_its_middle_is_put_by_its_middle() -> None
     anchor = solid("anchor", CUBE, pose(0.5 - 0.1, 0.2 - 0.3, 0.05))
     aside = replace(anchor.links[0].colliders[0], X_LG=pose(0.1, 0.3, 0))
     anchor = replace(anchor, links=(replace(anchor.links[0], colliders=(aside,)),))
-    centred = put(wedge, Place(on="desk", yaw_deg=90), DESK)
-    assert centred.X_WO.p == pytest.approx([0.4 + 0.1, 0.1 - 0.2, 0.02 - 0.3 + CLEARANCE], abs=ROUNDING)
+    centered = put(wedge, Place(on="desk", yaw_deg=90), DESK)
+    assert centered.X_WO.p == pytest.approx([0.4 + 0.1, 0.1 - 0.2, 0.02 - 0.3 + CLEARANCE], abs=ROUNDING)
     beside = put(wedge, Place(on="desk", behind="anchor", gap=0.01), DESK, anchor)
     assert beside.X_WO.p[:2] == pytest.approx([0.5 + 0.05 + 0.01 + 0.05 - 0.2, 0.2 - 0.1], abs=ROUNDING)
     framed = put(wedge, Place(on="desk", xy=(0.1, 0.2)), DESK)
@@ -305,7 +305,7 @@ def test_what_does_not_fit_is_said_before_other_meshes_are_cut(tmp_path: Path, m
         f"  cup: {CUP}\n"
         "  crate: {shape: {box: [0.2, 0.2, 0.2]}, mass: 1, place: {inside: cup}}\n"
     )
-    monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("a mesh was cut"))
+    monkeypatch.setattr(convex, "decompose", lambda *_: pytest.fail("a mesh was cut"))
     with pytest.raises(SpecError) as error:
         lower_file(path)
     assert sorted((d.code, d.path) for d in error.value.diagnostics) == [
@@ -336,7 +336,7 @@ def test_what_cannot_fit_is_said_before_its_container_is_cut(
         cuts.append(name)
         raise MeshError("SF301", "not cut here", "")
 
-    monkeypatch.setattr(decompose, "decompose", cut)
+    monkeypatch.setattr(convex, "decompose", cut)
     with pytest.raises(SpecError) as error:
         lower_file(path)
     (finding,) = error.value.diagnostics

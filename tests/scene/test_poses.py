@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
-from simfoundry.scene.poses import pose_spec, with_poses
+from simfoundry.scene.state import pose_spec, with_poses
 from simfoundry.spec.models.base import BoxShape, PoseSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 

@@ -110,7 +110,7 @@ def test_a_name_that_the_overlay_breaks_is_found_where_it_is_used(project: Path)
     [
         ("objects: {bowl: null}\n", "twin.scene.yaml", "SF201", "cannot be removed"),
         ("", "twn.scene.yaml", "SF203", "there is no file"),
-        ("", "../outside.scene.yaml", "SF204", "leaves the project"),
+        ("", "../outside.scene.yaml", "SF204", "is outside the project"),
         ("", "b.scene.yaml", "SF207", "`b.scene.yaml` extends `b.scene.yaml`"),
         ("", "[twin.scene.yaml]", "SF103", "expected a text"),
         ("", "a.asset.yaml", "SF006", "this is a `scene/1` one"),

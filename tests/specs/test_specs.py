@@ -193,7 +193,7 @@ def test_every_goal_is_about_something_that_starts_elsewhere(path: Path) -> None
 
 
 def test_assets_stand_on_their_frame() -> None:
-    """A thing's frame is at its foot, so that a pose at height 0 stands on the desk; that of a ball is its centre."""
+    """A thing's frame is at its foot, so that a pose at height 0 stands on the desk; that of a ball is its center."""
     items = {o.name: o for o in lowered(GALLERY).objects if not o.fixed}
     assert sorted(items) == [name_of(p) for p in ASSETS]
     for name, item in items.items():

@@ -209,10 +209,10 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
         ("name: my_sim", "name: your_sim", "SF106", 2, "its file is `my_sim.yaml`"),
         (
             "gaps:\n",
-            "behaviours: {slip_angel: {low: 0, high: 1, reason: steep}}\ngaps:\n",
+            "behaviors: {slip_angel: {low: 0, high: 1, reason: steep}}\ngaps:\n",
             "SF201",
             10,
-            "no behaviour is",
+            "no behavior is",
         ),
         (
             "gaps:\n",

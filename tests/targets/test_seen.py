@@ -295,8 +295,8 @@ def test_no_variant_is_called_default(tmp_path: Path) -> None:
 def test_pybullet_pictures_have_the_light_of_the_scene(room: Scene, tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     world = json.loads(compile_scene(room, "pybullet").files["world.json"])
-    towards = np.array(world["lighting"]["lightDirection"])
-    np.testing.assert_allclose(towards, -np.array([0.2, 0.1, -1]) / np.linalg.norm([0.2, 0.1, -1]), atol=1e-9)
+    toward = np.array(world["lighting"]["lightDirection"])
+    np.testing.assert_allclose(toward, -np.array([0.2, 0.1, -1]) / np.linalg.norm([0.2, 0.1, -1]), atol=1e-9)
     assert world["lighting"]["lightDiffuseCoeff"] == 0.6 and world["lighting"]["lightAmbientCoeff"] == 0.3
     means = {}
     for name, scene in (("lit", room), ("dark", dataclasses.replace(room, lights=room.lights[1:]))):

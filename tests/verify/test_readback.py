@@ -14,7 +14,7 @@ from simfoundry.backends.losses import drop
 from simfoundry.scene.model import Scene
 from simfoundry.targets import profile
 from simfoundry.targets.profile import QUANTITIES
-from simfoundry.verify.behaviours import BEHAVIOURS
+from simfoundry.verify.behaviors import BEHAVIORS
 from simfoundry.verify.compare import FLOORS, compare
 from simfoundry.verify.engines import VerifyEngine, all_engines, find_engine
 from simfoundry.verify.expected import expected_readback
@@ -211,10 +211,10 @@ def test_nothing_is_passed_over_in_silence(scene: Scene) -> None:
     ]
 
 
-def test_profiles_know_the_quantities_and_the_behaviours() -> None:
+def test_profiles_know_the_quantities_and_the_behaviors() -> None:
     """Their names are checked where verify is not loaded."""
     assert {name.replace(" ", "_") for name in FLOORS} == set(QUANTITIES)
-    assert {behaviour.name for behaviour in BEHAVIOURS} == set(profile.BEHAVIOURS)
+    assert {behavior.name for behavior in BEHAVIORS} == set(profile.BEHAVIORS)
 
 
 @pytest.mark.parametrize(
@@ -227,9 +227,9 @@ def test_each_tolerance_of_a_profile_is_what_verify_compares_with(name: str, qua
     tolerances = {**engine.target.profile.tolerances, quantity: tolerance}
     spec = engine.target.profile.model_copy(update={"tolerances": tolerances})
     strict = VerifyEngine(dataclasses.replace(engine.target, profile=spec))
-    if quantity in profile.BEHAVIOURS:
-        behaviour = next(b for b in BEHAVIOURS if b.name == quantity)
-        verdicts = [judge_result(behaviour, e, behaviour.expected + 1e-6).verdict for e in (engine, strict)]
+    if quantity in profile.BEHAVIORS:
+        behavior = next(b for b in BEHAVIORS if b.name == quantity)
+        verdicts = [judge_result(behavior, e, behavior.expected + 1e-6).verdict for e in (engine, strict)]
         assert verdicts == [ProofStatus.OK, ProofStatus.MISMATCH]
         return
     wanted = expected_readback(scene, engine.target.backend)

@@ -116,7 +116,7 @@ def test_a_free_joint_holds_nothing(engine: Engine) -> None:
         run(world, 0.1)
         lid = poses_of(read_world(world))["pot.lid"].p
         assert np.linalg.norm(world.state().poses["pot"].p - pot().X_WO.p) < TOLERANCE
-    # The flap's hinge, damped and rubbing, is within the lid and moves its centre of mass hardly.
+    # The flap's hinge, damped and rubbing, is within the lid and moves its center of mass hardly.
     assert before[2] - lid[2] == pytest.approx(9.81 * 0.1**2 / 2, rel=0.05)
 
 
@@ -270,7 +270,7 @@ def test_rolling_friction_holds_a_ball_on_a_slope(engine: Engine) -> None:
 
 
 def chain_end(engine: Engine, scene: Scene) -> float:
-    """Where the last box of a chain is along x after it was pulled towards the first for half a second [m]."""
+    """Where the last box of a chain is along x after it was pulled toward the first for half a second [m]."""
     with engine(dataclasses.replace(scene, gravity=np.array([-5.0, 0.0, 0.0]))) as world:
         run(world, 0.5)
         at = world.state().joints

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.render.gl import Engine, choose_engine
-from simfoundry.render.offscreen import MujocoRenderer
-from simfoundry.render.simplify import coarsened
+from simfoundry.render.offscreen import MujocoRenderer, coarsened
 from simfoundry.scene.model import Camera
 from simfoundry.worlds.base import Image, World
 from simfoundry.worlds.mounted import camera_of, resized

@@ -143,7 +143,7 @@ def test_slip_angle_is_that_of_the_geometric_mean(engine: Engine, mu_box: float,
     assert slide(engine, mean - 1.1, mu_box, mu_ramp) < 1e-3
     assert slide(engine, mean + 0.9, mu_box, mu_ramp) > 0.05
     theta = math.radians(mean + 4)
-    # From rest, the distance between 0.5 s and 1.5 s in metres is the acceleration in m/s^2.
+    # From rest, the distance between 0.5 s and 1.5 s in meters is the acceleration in m/s^2.
     acceleration = slide(engine, mean + 4, mu_box, mu_ramp)
     found = (9.81 * math.sin(theta) - acceleration) / (9.81 * math.cos(theta))
     # Bullet's friction depends on the direction in which a body slides; this one is oblique to its axes.
@@ -151,7 +151,7 @@ def test_slip_angle_is_that_of_the_geometric_mean(engine: Engine, mu_box: float,
 
 
 def hull_object() -> SceneObject:
-    """A wedge that lies on its largest face, with its centre of mass above it."""
+    """A wedge that lies on its largest face, with its center of mass above it."""
     com = frozen_array([0.1 / 3, 0.03, 0.05 / 3])
     collider = Collider("ramp", wedge_mesh(0.1, 0.06, 0.05), 0.5, 0.0)
     return SceneObject(
@@ -185,7 +185,7 @@ def test_a_dropped_object_comes_to_rest_where_it_should(engine: Engine, kind: st
         for contact in contacts:
             assert abs(contact.depth) < 1e-3
             up = contact.normal[2] if contact.a == "table" else -contact.normal[2]
-            assert up == pytest.approx(1, abs=1e-3)  # from a towards b
+            assert up == pytest.approx(1, abs=1e-3)  # from a toward b
             assert abs(contact.position[2]) < 2e-3
         world.step(round(2 / world.timestep))
         settled = world.state().poses["thing"].p

@@ -51,7 +51,7 @@ from simfoundry.backends.names import InvalidSceneError, check_names
 from simfoundry.backends.robot_models.robot_urdf import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500

@@ -10,9 +10,9 @@ from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClas
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Background, Collider, Joint, JointType, Link, SceneObject, Visual
-from simfoundry.scene.trees import Tree, trees
 
 _JOINT_TYPES = {
     JointType.REVOLUTE: "hinge",

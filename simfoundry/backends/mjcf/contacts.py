@@ -17,8 +17,8 @@ from simfoundry.backends.mjcf.contact_rules import (
     unlike_groups,
     written_groups,
 )
+from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
-from simfoundry.scene.touching import excluded_link_pairs
 
 COLLISION, VISUAL = "collision", "visual"
 """The class of collision geoms, which is the parent of all material classes, and the class of visual geoms."""

@@ -28,10 +28,9 @@ from simfoundry.backends.urdf.manifests import (
     placement,
     semantics,
 )
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
+from simfoundry.scene.kinematics import Tree, contact_pairs, trees
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs
-from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
 """Time step [s]: half of Bullet's default and equal to the other targets, so that behaviors are comparable."""

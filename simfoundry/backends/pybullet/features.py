@@ -18,7 +18,7 @@ from simfoundry.scene.model import LightType, Link, Scene, SceneObject
 
 _LIGHTS = {
     LightType.DISTANT: "PyBullet shades surfaces with its own model: brightness differs, and shadows are soft.",
-    LightType.POINT: "PyBullet replaces it with parallel rays from its position towards the origin.",
+    LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
     LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
 }
 _MIXED = "It is combined with the sliding friction, with one value per link."

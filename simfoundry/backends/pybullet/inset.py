@@ -66,7 +66,7 @@ def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
 def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
     """Return the triangles in counter-clockwise order as seen from outside, int32, shape (m, 3)."""
     a, b, c = (points[simplices[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
     faces = simplices.astype(np.int32)
-    faces[inwards] = faces[inwards][:, [0, 2, 1]]
+    faces[inward] = faces[inward][:, [0, 2, 1]]
     return faces

@@ -50,8 +50,8 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     main = main_light(lights)
     if main is None:
         return lighting | {"lightDiffuseCoeff": 0.0}
-    towards = main.X_WL.rotation[:, 2] if main.type is LightType.DISTANT else main.X_WL.p
-    color = {"lightDirection": rounded_list(towards), "lightColor": rounded_list(main.rgb)}
+    toward = main.X_WL.rotation[:, 2] if main.type is LightType.DISTANT else main.X_WL.p
+    color = {"lightDirection": rounded_list(toward), "lightColor": rounded_list(main.rgb)}
     return lighting | color | {"lightDiffuseCoeff": rounded(main.intensity)}
 
 

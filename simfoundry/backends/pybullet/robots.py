@@ -25,7 +25,7 @@ _GRIPS = {
 }
 _MOTORS = {
     False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
-    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as discs.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
 }
 """The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
@@ -90,7 +90,7 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
     Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
     contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
-    would press with a hundredth of their motor's force. A rotor is added as a thin disc, with half its inertia about
+    would press with a hundredth of their motor's force. A rotor is added as a thin disk, with half its inertia about
     the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
     rotors = {

@@ -21,9 +21,9 @@ from simfoundry.backends.robot_models.robot_urdf import RobotUrdf, robot_urdf, w
 from simfoundry.backends.urdf.elements import Dialect, capsule_parts, urdf_files
 from simfoundry.backends.urdf.features import FEATURES, robot_losses, urdf_losses
 from simfoundry.backends.urdf.manifests import physics_manifest, poses_entry, robot_placement
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
-from simfoundry.scene.trees import trees
 
 _LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
 """The loaders in a build, with the ``targets/`` folder that each comes from."""

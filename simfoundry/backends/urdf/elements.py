@@ -12,9 +12,9 @@ from simfoundry.backends.urdf.features import UNBOUNDED_M
 from simfoundry.backends.xmltext import DECLARATION, xml_text
 from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
-from simfoundry.scene.trees import Tree, trees
 
 Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Function that splits a geometry into parts that a dialect supports: a name suffix, the part, and its pose

@@ -8,8 +8,8 @@ from simfoundry.backends.artifact import number
 from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
+from simfoundry.scene.kinematics import contact_pairs
 from simfoundry.scene.model import JointType, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs
 
 UNBOUNDED_M = 1000.0
 """Where a sliding joint without limits ends [m]: far beyond any table, and exact in single precision."""

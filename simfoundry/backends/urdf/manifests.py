@@ -8,10 +8,9 @@ from simfoundry.backends.artifact import json_text, rounded, rounded_list
 from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
 from simfoundry.backends.urdf.elements import Split
 from simfoundry.geometry.frames import Pose
+from simfoundry.scene.kinematics import Tree, excluded_link_pairs, trees
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 from simfoundry.scene.robot import Follow
-from simfoundry.scene.touching import excluded_link_pairs
-from simfoundry.scene.trees import Tree, trees
 
 _SERVO_ERROR = 0.005
 """Error [rad or m] at which a servo added to a robot's own URDF reaches its maximum force: 5 mrad at a reach of 0.8 m

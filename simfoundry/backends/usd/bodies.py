@@ -21,10 +21,8 @@ from simfoundry.backends.usd.prims import (
     vec3,
 )
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.kinematics import Tree, contact_pairs, excluded_link_pairs, link_poses, trees
 from simfoundry.scene.model import Joint, JointType, Link, Scene, SceneObject
-from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
-from simfoundry.scene.trees import Tree, trees
 
 DEFAULT = "default"
 """The name of the variant that represents the object as written in its document."""

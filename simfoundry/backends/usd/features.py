@@ -11,8 +11,8 @@ from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
-from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64
 """PhysX's limit of the vertices of a convex hull (its documentation of ``PxConvexMeshDesc``)."""
@@ -96,7 +96,7 @@ def _joint(element: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator
             if getattr(joint, field):
                 yield drop(f"joint_{field}", element, f"PhysX's ball joints have no {field}; Newton reads it.")
     if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
-        reason = "USD has one damping per joint; the joint's share of it counts towards the drive's force limit."
+        reason = "USD has one damping per joint; the joint's share of it counts toward the drive's force limit."
         yield approximate("joint_damping", element, reason)
     if joint.mimic is not None:
         leader = by_name.get(joint.mimic.joint)

@@ -16,7 +16,7 @@ from typing import Any
 
 from simfoundry.backends.artifact import json_line, json_string
 from simfoundry.backends.usd.prims import Prim
-from simfoundry.scene.source import Source
+from simfoundry.scene.model import Source
 
 KEY = "simfoundry"
 """The key of our dictionary in ``customData`` and ``customLayerData``."""

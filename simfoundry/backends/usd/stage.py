@@ -20,7 +20,7 @@ from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_r
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
 
 _LOADER = shipped("targets/usd") / "load.py"

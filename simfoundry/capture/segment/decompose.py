@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
-from simfoundry.capture.segment.merge_by_color import join_kin
-from simfoundry.capture.segment.merge_occluded import join_containers, join_hidden
-from simfoundry.capture.segment.merge_regions import TOUCHING, compact, join_hanging, merge_smooth, renamed
-from simfoundry.capture.segment.noise import depth_sigma, valid_depth
+from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface, depth_sigma, valid_depth
+from simfoundry.capture.segment.merge_by_color import join_kin, split_necks
+from simfoundry.capture.segment.merge_regions import (
+    TOUCHING,
+    compact,
+    join_containers,
+    join_hanging,
+    join_hidden,
+    merge_smooth,
+    renamed,
+)
 from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
-from simfoundry.capture.segment.split_necks import split_necks
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
 from simfoundry.geometry.frames import Array
 

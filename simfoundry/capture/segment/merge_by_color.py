@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.merge_regions import renamed
-from simfoundry.capture.segment.regions import Border, Labels, borders
+from simfoundry.capture.segment.merge_regions import compact, renamed
+from simfoundry.capture.segment.regions import Border, Labels, borders, flood
 from simfoundry.capture.segment.support_graph import (
     RegionPart,
     below,
@@ -21,7 +21,7 @@ from simfoundry.geometry.frames import Array
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise
-COLOURED = 0.25  # share of vivid pixels of a region that has a hue
+COLORED = 0.25  # share of vivid pixels of a region that has a hue
 SAME_HUE = 8.0  # of 180 in a full turn
 VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
 ONE_HUE = 4.0  # of 180 in a full turn
@@ -40,7 +40,7 @@ class Hue:
     vivid: float
 
     def equals(self, other: Hue) -> bool:
-        """Return whether both are of one colour throughout."""
+        """Return whether both are of one color throughout."""
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
@@ -49,8 +49,8 @@ class Hue:
         return min(turn, 180 - turn)
 
     def matches(self, other: Hue) -> bool:
-        """Return whether both are coloured, and alike."""
-        return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
+        """Return whether both are colored, and alike."""
+        return min(self.vivid, other.vivid) > COLORED and self.apart(other) <= SAME_HUE
 
 
 def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
@@ -66,7 +66,7 @@ def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
 
 
 def vivid_of(color: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels, shape (h, w), that have a hue: neither grey nor dark."""
+    """Pixels, shape (h, w), that have a hue: neither gray nor dark."""
     hsv = _smooth_hsv(color)
     return np.asarray((hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT))
 
@@ -184,3 +184,71 @@ def distance(one: RegionPart, other: RegionPart) -> float:
     tree = cKDTree(one.points_W[:: max(1, len(one.points_W) // 2000)])
     gaps, _ = tree.query(other.points_W[:: max(1, len(other.points_W) // 1000)])
     return float(np.sort(gaps)[min(5, len(gaps) - 1)])
+
+
+HOLLOW = 0.7  # share of its convex hull that a region of two things fills at most
+SHARE = 0.25  # of the region that each thing covers at least
+NECK = 1.2  # width of the neck, over the square root of the smaller thing's area
+FOOT = 0.02  # [m] above the support, below which both things reach
+Mask = NDArray[np.bool_]
+
+
+def split_necks(labels: Labels, points_W: Array, color: NDArray[np.uint8], reach: int) -> Labels:
+    """Split regions that are far from convex where a vivid and a dull half, both standing, meet at a neck.
+
+    Color alone is no reason to split an object: a bottle has a cap, a box a print. But a color border at a neck of the
+    outline, with both halves reaching the support, runs between two objects.
+    """
+    vivid = vivid_of(color)
+    out = labels.copy()
+    for k in range(1, int(labels.max()) + 1):
+        mask = labels == k
+        if _solidity(mask) > HOLLOW:
+            continue
+        bright, dull = (_largest(_opened(mask & tone, max(1, reach // 4))) for tone in (vivid, ~vivid))
+        both_stand = _stands(bright, mask, points_W) and _stands(dull, mask, points_W)
+        if both_stand and _neck(bright, dull, reach) < NECK:
+            seeds = np.where(bright, 1, np.where(dull, 2, 0)).astype(np.int32)
+            parted = flood(seeds, mask, np.zeros(mask.shape))
+            out[mask] = np.where(parted[mask] == 2, int(out.max()) + 1, k)
+    return compact(out)
+
+
+def _stands(half: Mask, whole: Mask, points_W: Array) -> bool:
+    if half.sum() < SHARE * whole.sum():
+        return False
+    return bool(np.nanquantile(points_W[..., 2][half], 0.02) < FOOT)
+
+
+def _neck(one: Mask, other: Mask, reach: int) -> float:
+    """Width [px] at which two masks meet, over the square root of the smaller one's area; infinite if they do not."""
+    import cv2
+
+    gap = max(2, reach // 2)
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * gap + 1, 2 * gap + 1))
+    shared = (cv2.dilate(one.astype(np.uint8), disk) > 0) & other
+    width = float(shared.sum()) / gap
+    return width / float(np.sqrt(min(one.sum(), other.sum()))) if width >= gap else np.inf
+
+
+def _solidity(mask: Mask) -> float:
+    import cv2
+
+    hull = cv2.convexHull(np.argwhere(mask)[:, ::-1].astype(np.int32))
+    return float(mask.sum()) / max(1.0, float(cv2.contourArea(hull)))
+
+
+def _opened(mask: Mask, radius: int) -> Mask:
+    import cv2
+
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disk) > 0)
+
+
+def _largest(mask: Mask) -> Mask:
+    import cv2
+
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    return np.asarray((parts == int(np.argmax(areas))) & mask)

@@ -1,4 +1,4 @@
-"""Merging of regions into objects across borders that are smooth or bent outwards."""
+"""Merging of regions into objects across borders that are smooth or bent outward."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.geometry.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch
-SMALL_PART = 0.2  # of its neighbour's pixels
+SMALL_PART = 0.2  # of its neighbor's pixels
 SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
 FEW_PAIRS = 60  # a shorter border says nothing
 
@@ -119,3 +119,157 @@ def root(parent: dict[int, int], k: int) -> int:
     while k in parent:
         k = parent[k]
     return k
+
+
+IN_PLANE = 0.006  # [m]
+SAME_TOP = 0.012  # [m]
+SLIVER = 0.1  # of the other's points
+WIDEST = 0.25  # [m] radius of a container
+RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
+
+
+def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
+    """Merge regions that are faces of one box behind the same occluder, with the pixels between them."""
+    behind: dict[int, set[int]] = {}
+    points = _points(labels, points_W, every=4)
+    for front, back in _occlusions(labels, depth, reach):
+        behind.setdefault(front, set()).add(back)
+    parent: dict[int, int] = {}
+    for front in sorted(behind):
+        backs = sorted(behind[front])
+        for i, a in enumerate(backs):
+            for b in backs[i + 1 :]:
+                low, high = sorted((root(parent, a), root(parent, b)))
+                if low != high and front not in (low, high) and one_box(points[a], points[b]):
+                    parent[high] = low
+                    labels = _between(labels, points_W, front, a, b)
+    return renamed(labels, parent)
+
+
+def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
+    """Merge the outside of a bowl or mug with the inside visible behind its near rim."""
+    points = {k: _thinned(p) for k, p in _points(labels, points_W).items()}
+    parent: dict[int, int] = {}
+    for front, back in _occlusions(labels, depth, reach):
+        if root(parent, front) != root(parent, back) and one_rim(points[front], points[back]):
+            low, high = sorted((root(parent, front), root(parent, back)))
+            parent[high] = low
+    return renamed(labels, parent)
+
+
+def one_box(a: Array, b: Array) -> bool:
+    """Return whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
+    small, large = sorted((a, b), key=len)
+    if len(small) < 20:
+        return False
+    if len(small) < SLIVER * len(large):  # a sliver shows no top of its own
+        face = _main_plane(large, level=False)
+        if face is not None and _share(large, face) > 0.3 and _share(small, face) > 0.6:
+            return True
+    if abs(np.quantile(a[:, 2], 0.98) - np.quantile(b[:, 2], 0.98)) > SAME_TOP:
+        return False
+    both = np.concatenate([a, b])
+    upright = _main_plane(both, level=False)
+    if upright is not None and min(_share(a, upright), _share(b, upright)) > 0.4:
+        return True
+    top = _main_plane(both, level=True)
+    if top is None or min(_share(a, top), _share(b, top)) < 0.4:
+        return False
+    widths = [_short_side(p[_distance(p, top) < IN_PLANE]) for p in (a, b, both)]
+    return widths[2] < 1.15 * min(widths[:2]) + 0.008
+
+
+def one_rim(front: Array, back: Array) -> bool:
+    """Return whether the highest points of two sets [m] close a circle, ``front`` nearer and ``back`` inside it."""
+    top_front, top_back = np.quantile(front[:, 2], 0.98), np.quantile(back[:, 2], 0.98)
+    if abs(top_front - top_back) > 1.5 * RIM:
+        return False
+    rims = [p[p[:, 2] > top - RIM][:, :2] for p, top in ((front, top_front), (back, top_back))]
+    if min(len(r) for r in rims) < 10:
+        return False
+    xy = np.concatenate(rims)
+    system = np.column_stack([2 * xy, np.ones(len(xy))])
+    solution = np.linalg.lstsq(system, (xy**2).sum(axis=1), rcond=None)[0]
+    center, radius = solution[:2], float(np.sqrt(max(1e-9, solution[2] + solution[:2] @ solution[:2])))
+    # A lid or a box top would fill the disk; a rim, front and back, keeps to the circle.
+    round_enough = all(
+        np.quantile(np.abs(np.linalg.norm(rim - center, axis=1) - radius), 0.8) < 0.003 + 0.07 * radius for rim in rims
+    )
+    turn = np.arctan2(*(xy - center).T[::-1])
+    seen = len(np.unique(np.floor((turn + np.pi) / (2 * np.pi) * 11.999).astype(int)))
+    facing = float((rims[0].mean(axis=0) - center) @ (rims[1].mean(axis=0) - center))
+    inside = float(np.mean(np.linalg.norm(back[:, :2] - center, axis=1) < 1.08 * radius + 0.004))
+    return bool(round_enough and radius < WIDEST and seen >= 8 and facing < 0 and inside > 0.85)
+
+
+def _occlusions(labels: Labels, depth: Array, reach: int) -> list[tuple[int, int]]:
+    """Pairs (front, back) of regions that meet at a depth step."""
+    return [
+        (border.b, border.a) if border.jump > 0 else (border.a, border.b)
+        for border in borders(labels, depth, reach).values()
+        if abs(border.jump) > max(EDGE, border.bend)
+    ]
+
+
+def _points(labels: Labels, points_W: Array, every: int = 1) -> dict[int, Array]:
+    """The points of each region, evenly thinned, so that their numbers stay in proportion to the regions' sizes."""
+    return {k: points_W[labels == k][::every] for k in range(1, int(labels.max()) + 1)}
+
+
+def _thinned(points: Array) -> Array:
+    return points[:: max(1, len(points) // 1500)]
+
+
+def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Labels:
+    """Move the pixels of ``front`` that lie within the footprint and height of ``a`` and ``b`` together to ``a``."""
+    import cv2
+
+    joined = _thinned(points_W[(labels == a) | (labels == b)])
+    hull = cv2.convexHull((joined[:, :2] * 1000).astype(np.float32))
+    rows, columns = np.nonzero(labels == front)
+    own = points_W[rows, columns]
+    top, bottom = np.quantile(joined[:, 2], [0.98, 0.02])
+    inside = np.zeros(len(own), bool)
+    for i in np.nonzero((own[:, 2] < top + 0.01) & (own[:, 2] > bottom - 0.01))[0]:
+        inside[i] = cv2.pointPolygonTest(hull, (float(own[i, 0]) * 1000, float(own[i, 1]) * 1000), False) >= 0
+    if inside.mean() > 0.5:  # then the hull says nothing: the front one stands within it
+        return labels
+    out = labels.copy()
+    out[rows[inside], columns[inside]] = a
+    return out
+
+
+Plane = tuple[Array, Array]
+
+
+def _main_plane(points: Array, level: bool) -> Plane | None:
+    """Center and normal of the plane through most of ``points``, among the level or among the upright ones."""
+    rng = np.random.default_rng(0)
+    triples = points[rng.integers(len(points), size=(400, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals = normals / (length[:, None] + 1e-12)
+    fit = (length > 1e-7) & ((np.abs(normals[:, 2]) > 0.95) if level else (np.abs(normals[:, 2]) < 0.5))
+    if not fit.any():
+        return None
+    normals, offsets = normals[fit], np.einsum("ij,ij->i", normals[fit], triples[fit][:, 0])
+    best = int(np.argmax((np.abs(points @ normals.T - offsets) < 0.005).sum(axis=0)))
+    inliers = points[np.abs(points @ normals[best] - offsets[best]) < IN_PLANE]
+    center = inliers.mean(axis=0)
+    return center, np.linalg.eigh((inliers - center).T @ (inliers - center))[1][:, 0]
+
+
+def _distance(points: Array, plane: Plane) -> Array:
+    return np.asarray(np.abs((points - plane[0]) @ plane[1]))
+
+
+def _share(points: Array, plane: Plane) -> float:
+    return float(np.mean(_distance(points, plane) < IN_PLANE))
+
+
+def _short_side(points: Array) -> float:
+    """The shorter side [m] of the smallest rectangle round the xy of ``points``."""
+    import cv2
+
+    inner = points[:, :2].astype(np.float32) * 1000
+    return float(min(cv2.minAreaRect(inner)[1])) / 1000

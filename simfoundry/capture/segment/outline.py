@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 class TopView:
     """A map of the support seen from above: ``mask`` bool, shape (rows, columns), row along world y, column along x.
 
-    Cell (r, c) is centred at ``corner + cell * (c, r)`` in world xy [m].
+    Cell (r, c) is centered at ``corner + cell * (c, r)`` in world xy [m].
     """
 
     mask: Mask
@@ -78,7 +78,7 @@ def polygon_of(plan: TopView) -> Array:
     import cv2
     from shapely.geometry import Polygon
 
-    # Doubled and padded, the contour runs along the cells' borders instead of through their centres.
+    # Doubled and padded, the contour runs along the cells' borders instead of through their centers.
     fine = np.pad(np.kron(plan.mask, np.ones((2, 2), bool)), 1).astype(np.uint8)
     contours, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contour = max(contours, key=cv2.contourArea)[:, 0, :].astype(np.float64)

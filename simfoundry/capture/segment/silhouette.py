@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 
 
 def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int) -> Labels:
-    """Give each object the unlabelled pixels that are its own: those without depth in gaps up to ``radius`` [px] wide
+    """Give each object the unlabeled pixels that are its own: those without depth in gaps up to ``radius`` [px] wide
     to either side, and those it encloses, except where one sees the support through it.
     """
     out = _without_gaps(labels, ~np.isfinite(depth), radius)
@@ -104,7 +104,7 @@ def _is_round(xy: Array) -> bool:
 
 
 def _holes(mask: Mask, labels: Labels) -> list[Mask]:
-    """The connected unlabelled areas that ``mask`` encloses."""
+    """The connected unlabeled areas that ``mask`` encloses."""
     import cv2
     from scipy.ndimage import binary_fill_holes
 

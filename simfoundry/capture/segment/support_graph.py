@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.noise import depth_sigma
+from simfoundry.capture.frame import depth_sigma
 from simfoundry.geometry.frames import Array
 
 CONTACT = 0.015  # [m] largest gap between an object and its support
@@ -17,7 +17,7 @@ Labels = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
-    """One labelled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
+    """One labeled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
 
     label: int
     bottom: float

@@ -2,7 +2,7 @@
 
 The solid is a stack of horizontal slices. In each slice the near side is what was seen, the far side its mirror image
 across a vertical plane along the object, never beyond where the camera saw through, and never short of what was seen
-further up. Each slice is a star-shaped polygon about its own centre, so the stack is closed and free of
+further up. Each slice is a star-shaped polygon about its own center, so the stack is closed and free of
 self-intersection by construction.
 """
 
@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
+from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
-from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_mesh
-from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
+from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import closed_mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
-FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
-_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a metre
+FOOT_MARGIN = 0.15  # of the foot's radius, that the center of mass must keep from the edge of the foot
+_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a meter
 _STEPS = 48  # samples of free space behind a column: 2 to 5 mm apart
 _MIN_IN_SLICE = 12  # points that a slice needs for two percentiles to mean anything
 _PAD = 0.0025  # height of the pad under a solid that would tip over [m]
@@ -34,7 +34,7 @@ _SEEN_PAST = 0.01  # [m] distance behind a point at which the observed surface p
 
 @dataclass(frozen=True, eq=False)
 class CompletedFit:
-    """A closed mesh (origin at the centre of its base, z up), its pose, and its agreement with the picture."""
+    """A closed mesh (origin at the center of its base, z up), its pose, and its agreement with the picture."""
 
     mesh: Mesh
     X_WO: Pose
@@ -58,7 +58,7 @@ def complete(frame: Frame, support: SupportSurface, evidence: Evidence) -> Compl
     """Complete the points in ``evidence`` to a solid that stands on ``base_z``."""
     slices = _slice(frame, support, evidence)
     rings = _carve(_Space(frame, support, slices.across, slices.along), _smooth(_rings(slices)))
-    rings = _stabilise(_stand(rings, evidence.base_z))
+    rings = _stabilize(_stand(rings, evidence.base_z))
     origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
     mesh = loft_mesh(rings - origin)
     hits = cast_mesh(evidence.eye, evidence.rays, np.asarray(mesh.vertices) + origin, np.asarray(mesh.faces))
@@ -203,7 +203,7 @@ def _extend(
 
 
 def _rings(slices: _Slices) -> Array:
-    """Star-shaped outlines about each slice's centre, world [m], shape (k, SIDES, 3), counter-clockwise."""
+    """Star-shaped outlines about each slice's center, world [m], shape (k, SIDES, 3), counter-clockwise."""
     angle = np.arange(SIDES) * (2 * math.pi / SIDES)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = []
@@ -236,15 +236,15 @@ def _smooth(rings: Array) -> Array:
 
 
 def _carve(space: _Space, rings: Array) -> Array:
-    """Pull every point in observed free space towards its slice's centre until it leaves that space."""
-    centre = rings[..., :2].mean(axis=1, keepdims=True)
+    """Pull every point in observed free space toward its slice's center until it leaves that space."""
+    center = rings[..., :2].mean(axis=1, keepdims=True)
     out = rings.copy()
     share = np.ones(rings.shape[:2])
     for _ in range(8):
         for k, ring in enumerate(out):
             free = space.free(ring[:, :2] @ space.across, ring[:, :2] @ space.along, float(ring[0, 2]))
             share[k] -= np.where(free & (share[k] > 0.3), 0.1, 0.0)
-        out[..., :2] = centre + share[..., None] * (rings[..., :2] - centre)
+        out[..., :2] = center + share[..., None] * (rings[..., :2] - center)
     return out
 
 
@@ -257,16 +257,16 @@ def _stand(rings: Array, base_z: float) -> Array:
     return np.concatenate([foot, rings, top])
 
 
-def _stabilise(rings: Array) -> Array:
-    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disc under its centre of mass."""
+def _stabilize(rings: Array) -> Array:
+    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disk under its center of mass."""
     wanted = max(FOOT_MARGIN * math.sqrt(_area(rings[0, :, :2]) / math.pi), 0.003)
     out = rings
     for attempt in range(6):
         if _foot_margin(out) >= wanted:
             break
-        disc = (1.5 + 0.5 * attempt) * wanted
+        disk = (1.5 + 0.5 * attempt) * wanted
         pad = rings[0].copy()
-        pad[:, :2] = _hull_with_disc(rings[0, :, :2], _com(out)[:2], disc)
+        pad[:, :2] = _hull_with_disk(rings[0, :, :2], _com(out)[:2], disk)
         lid, sole = pad.copy(), rings[0].copy()
         lid[:, 2] += _PAD
         sole[:, 2] += 1.2 * _PAD
@@ -274,18 +274,18 @@ def _stabilise(rings: Array) -> Array:
     return out
 
 
-def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
-    """Points where rays from the foot's center through its points meet the hull of foot and disc, shape (SIDES, 2)."""
+def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
+    """Points where rays from the foot's center through its points meet the hull of foot and disk, shape (SIDES, 2)."""
     from scipy.spatial import ConvexHull
 
     angle = np.arange(24) * (2 * math.pi / 24)
-    disc = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    equations = ConvexHull(np.concatenate([foot, disc])).equations
+    disk = center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    equations = ConvexHull(np.concatenate([foot, disk])).equations
     middle = foot.mean(axis=0)
     rays = foot - middle
-    towards = rays @ equations[:, :2].T
+    toward = rays @ equations[:, :2].T
     room = -(equations[:, :2] @ middle + equations[:, 2])
-    reach = np.where(towards > 1e-9, room / np.maximum(towards, 1e-9), np.inf).min(axis=1)
+    reach = np.where(toward > 1e-9, room / np.maximum(toward, 1e-9), np.inf).min(axis=1)
     return np.asarray(middle + rays * reach[:, None])
 
 
@@ -301,3 +301,22 @@ def _foot_margin(rings: Array) -> float:
 def _area(polygon: Array) -> float:
     x, y = polygon.T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+
+def loft_mesh(rings: Array) -> Mesh:
+    """Rings of points [m], shape (k, sides, 3), from the bottom up, each counter-clockwise from above, closed by caps.
+
+    The caps are fans about each end ring's mean, so the end rings must be star-shaped about it.
+    """
+    levels, sides, _ = rings.shape
+    top_down = rings[::-1].reshape(-1, 3)
+    vertices = np.concatenate([rings[-1].mean(axis=0)[None], top_down, rings[0].mean(axis=0)[None]])
+    return closed_mesh(vertices, ring_faces(levels, sides))
+
+
+def hull_margin(footprint: Array, point: Array) -> float:
+    """Distance inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
+    from scipy.spatial import ConvexHull
+
+    equations = ConvexHull(footprint).equations
+    return float(-(equations[:, :2] @ point + equations[:, 2]).max())

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.ray_casts import first_hits, scattered_rays, turned, unit
 
 MAX_RAYS = 2600  # rays of one object: a grid of 51 x 51; a fit casts them some thousand times
 _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too
@@ -18,7 +19,7 @@ _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside 
 class Evidence:
     """Points of one object and rays through and around it.
 
-    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera centre in the world, shape (3,);
+    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera center in the world, shape (3,);
     ``rays`` world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
     [m] observed along the rays, NaN where there is none, shape (m,); ``inside`` marks the object's own rays and
     ``hidden`` those that belong to other objects, both bool, shape (m,); ``scale`` [m] is the distance at which a
@@ -117,15 +118,15 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of eight neighbours are at their depth."""
+    """Pixels that hang between a near and a far surface: fewer than three of eight neighbors are at their depth."""
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
     for dv in (0, 1, 2):
         for du in (0, 1, 2):
             if (dv, du) != (1, 1):
-                neighbour = padded[dv : dv + h, du : du + w]
-                agreeing += np.abs(neighbour - depth) < 0.012 * depth
+                neighbor = padded[dv : dv + h, du : du + w]
+                agreeing += np.abs(neighbor - depth) < 0.012 * depth
     return np.asarray(np.isfinite(depth) & (agreeing < 3))
 
 
@@ -138,3 +139,179 @@ def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
     step = max(1, int(np.ceil(np.sqrt((bottom - top + 1) * (right - left + 1) / MAX_RAYS))))
     grid = np.meshgrid(np.arange(top, bottom + 1, step), np.arange(left, right + 1, step), indexing="ij")
     return grid[0].ravel(), grid[1].ravel()
+
+
+FREE_WEIGHT = 0.7  # cost of a ray that passes where the solid is, of one that misses it: silhouettes err by a pixel
+_BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
+_BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
+_IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
+
+
+@dataclass(frozen=True, eq=False)
+class SolidHits:
+    """``depth`` along the rays (inf: miss) and ``slant``, both shape (m,)."""
+
+    depth: Array
+    slant: Array
+
+
+def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
+    """Rays against a box of full extents ``size`` [m] centered on ``X_WO``."""
+    origin, directions = _to_local(eye, rays, X_WO)
+    safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
+    low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
+    entry, leave = np.minimum(low, high), np.maximum(low, high)
+    axis = np.argmax(entry, axis=1)
+    enter = np.take_along_axis(entry, axis[:, None], 1)[:, 0]
+    hit = (enter <= leave.min(axis=1)) & (enter > 0)
+    slant = np.abs(np.take_along_axis(directions, axis[:, None], 1)[:, 0])
+    return SolidHits(np.where(hit, enter, np.inf), slant)
+
+
+def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
+    """Rays against a sphere."""
+    to_eye = eye - center
+    a = np.einsum("ij,ij->i", rays, rays)
+    b = rays @ to_eye
+    root = b * b - a * (to_eye @ to_eye - radius**2)
+    hit = root > 0
+    depth = np.where(hit, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
+    hit &= depth > 0
+    normal = (to_eye + np.where(hit, depth, 0)[:, None] * rays) / radius
+    return SolidHits(np.where(hit, depth, np.inf), np.abs(np.einsum("ij,ij->i", normal, rays)))
+
+
+def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits:
+    """Rays against a surface of revolution about the local z axis.
+
+    ``profile`` is a polyline of (radius, height) [m], shape (k, 2); each of its edges sweeps a cone, a cylinder or a
+    ring.
+    """
+    o, d = _to_local(eye, rays, X_WO)
+    r0, z0 = profile[:-1, 0][:, None], profile[:-1, 1][:, None]
+    r1, z1 = profile[1:, 0][:, None], profile[1:, 1][:, None]
+    rise = z1 - z0
+    flat = np.abs(rise) < 1e-9
+    slope = np.where(flat, 0.0, (r1 - r0) / np.where(flat, 1.0, rise))
+    # On the cone through an edge, |xy| = g + slope * z.
+    g = r0 - slope * z0
+    rho, w = g + slope * o[2], slope * d[:, 2]
+    a = d[:, 0] ** 2 + d[:, 1] ** 2 - w**2
+    b = o[0] * d[:, 0] + o[1] * d[:, 1] - rho * w
+    c = o[0] ** 2 + o[1] ** 2 - rho**2
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    exists = b * b - a * c > 0
+    safe_a = np.where(np.abs(a) < 1e-12, 1e-12, a)
+    best = np.full(len(d), np.inf)
+    slant = np.zeros(len(d))
+    tilt = 1.0 / np.sqrt(1.0 + slope**2)
+    for sign in (-1.0, 1.0):
+        t = (-b + sign * root) / safe_a
+        z, radius = o[2] + t * d[:, 2], rho + t * w
+        on_edge = exists & ~flat & (t > 1e-6) & (z >= np.minimum(z0, z1)) & (z <= np.maximum(z0, z1)) & (radius >= 0)
+        x, y = o[0] + t * d[:, 0], o[1] + t * d[:, 1]
+        cosine = tilt * ((x * d[:, 0] + y * d[:, 1]) / np.maximum(radius, 1e-9) - slope * d[:, 2])
+        best, slant = _nearer(best, slant, np.where(on_edge, t, np.inf), np.abs(cosine))
+    safe_dz = np.where(np.abs(d[:, 2]) < 1e-12, 1e-12, d[:, 2])
+    t = (z0 - o[2]) / safe_dz
+    radius = np.hypot(o[0] + t * d[:, 0], o[1] + t * d[:, 1])
+    in_ring = flat & (t > 1e-6) & (radius >= np.minimum(r0, r1)) & (radius <= np.maximum(r0, r1))
+    best, slant = _nearer(best, slant, np.where(in_ring, t, np.inf), np.broadcast_to(np.abs(d[:, 2]), t.shape))
+    return SolidHits(best, slant)
+
+
+def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
+    """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+    face = first_faces(eye, rays, vertices, faces)
+    hit = face >= 0
+    chosen, n = rays[hit], normal[face[hit]]
+    slope = np.einsum("ij,ij->i", n, chosen)
+    slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+    depth, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
+    depth[hit] = np.einsum("ij,ij->i", n, a[face[hit]] - eye) / slope
+    slant[hit] = np.abs(slope)
+    return SolidHits(depth, slant)
+
+
+def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The face that each ray meets first, -1 for none, shape (m,); arguments as in :func:`cast_mesh`."""
+    corners = vertices[faces] - eye
+    units = unit(rays)
+    out = np.full(len(rays), -1, dtype=np.int64)
+    todo = np.arange(len(rays))
+    while len(todo):
+        # A view frame sees what lies in front of it; rays to all sides take several.
+        axis = unit(units[todo].mean(axis=0))
+        if not (units[todo] @ axis > _IN_FRONT).any():
+            axis = units[todo[0]]
+        R_EV = _frame_along(axis)
+        local = turned(R_EV.T, units[todo])
+        seen = local[:, 2] > _IN_FRONT
+        x, y, z = local[seen].T
+        out[todo[seen]] = first_hits(turned(R_EV.T, corners), scattered_rays(x / z, y / z)).triangle
+        todo = todo[~seen]
+    return out
+
+
+def _frame_along(axis: Array) -> Array:
+    """A rotation whose third column is the unit vector ``axis``, shape (3, 3)."""
+    side = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis))
+    return np.column_stack([side, np.cross(axis, side), axis])
+
+
+@dataclass(frozen=True)
+class RayAgreement:
+    """Agreement of a solid with the rays.
+
+    ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
+    rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
+    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimize.
+    """
+
+    explained: float
+    missed: float
+    intrusion: float
+    fit: float
+    cost: float
+
+
+def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
+    """Compare the hits of a solid with what was observed."""
+    scale = evidence.scale
+    hit = np.isfinite(hits.depth)
+    measured = np.isfinite(evidence.depth)
+    own = evidence.inside & measured
+    blind = evidence.inside & ~measured
+    gap = np.where(hit & measured, hits.depth, 0) - np.where(hit & measured, evidence.depth, 0)
+    distance = np.abs(gap) * hits.slant
+    residual = np.where(hit, np.minimum(distance / scale, 1.0), 1.0)
+    beyond = ~evidence.inside & hit
+    free = beyond & measured & (-gap > 2.0 * scale)
+    unlit = beyond & ~measured & ~evidence.hidden
+    count = max(1, int(evidence.inside.sum()))
+    own_count = max(1, int(own.sum()))
+    cost = residual[own].sum() + _BLIND_MISS * (blind & ~hit).sum() + _BLIND_HIT * unlit.sum()
+    fitted = distance[own & hit]
+    return RayAgreement(
+        explained=float((own & hit & (distance < scale)).sum() / own_count),
+        missed=float((own & ~hit).sum() / own_count),
+        intrusion=float(free.sum() / count),
+        fit=float(np.median(fitted)) if fitted.size else float("inf"),
+        cost=float((cost + FREE_WEIGHT * free.sum()) / count),
+    )
+
+
+def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
+    rotation = X_WO.rotation
+    return (eye - X_WO.p) @ rotation, rays @ rotation
+
+
+def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Array, Array]:
+    """Fold the candidates of every edge, shape (k, m), into the nearest hit so far, shape (m,)."""
+    pick = np.argmin(depth, axis=0)[None]
+    nearest = np.take_along_axis(depth, pick, 0)[0]
+    closer = nearest < best
+    return np.where(closer, nearest, best), np.where(closer, np.take_along_axis(cosine, pick, 0)[0], slant)

@@ -8,20 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
 from simfoundry.capture.shapes.complete import complete
-from simfoundry.capture.shapes.evidence import Evidence, gather
-from simfoundry.capture.shapes.fit_box import fit_box
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, gather
 from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
-from simfoundry.capture.shapes.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
-from simfoundry.capture.shapes.ray_agreement import RayAgreement
+from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved
 
 MIN_POINTS = 12  # points: twice the parameters of a box
-PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]
+PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a meter [m]
 FEW_POINTS = 50  # points: fewer do not tell a curved side from noise
 LATHE_SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
 OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
@@ -37,10 +34,10 @@ GAIN = 0.03  # share of the object that a completed shape must explain beyond a 
 class FittedShape:
     """A solid fitted to one object.
 
-    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the centre of the
-    bounding box for primitives and at the centre of the base, z up, for meshes; ``fit_m`` the median distance of the
+    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the center of the
+    bounding box for primitives and at the center of the base, z up, for meshes; ``fit_m`` the median distance of the
     object's visible points from the surface [m]; ``confidence`` in [0, 1], see :func:`confidence`; ``hollow`` says that
-    it is an open container modelled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
+    it is an open container modeled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
     mesh is a body of revolution.
     """
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.capture.shapes.fit_round import search, start_axis
-from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_lathe
+from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_lathe
+from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
 
 LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls
 WALL = 0.004  # [m] wall of a container: crockery has 3 to 6 mm
 FLOOR = 0.005  # [m] floor of a container, where it is not seen
-_MIN_RADIUS = 0.003  # [m] the depth noise at half a metre
+_MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
 _MIN_IN_LEVEL = 4  # points that a level needs for a median
 
 
@@ -99,15 +98,15 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     height = max(evidence.top - evidence.base_z, 2 * _MIN_RADIUS)
     side = z < height - 0.4 * evidence.scale  # above are the points of the lid
     edges = np.linspace(0.0, height, LEVELS + 1)
-    centres = (edges[:-1] + edges[1:]) / 2
-    radii = _fill(centres, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
-    heights = np.concatenate([[height], centres[::-1], [0.0]])
+    centers = (edges[:-1] + edges[1:]) / 2
+    radii = _fill(centers, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
+    heights = np.concatenate([[height], centers[::-1], [0.0]])
     outline = np.concatenate([[radii[-1]], radii[::-1], [radii[0]]])
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
 
 
 def through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
-    """Select the points seen through the disc of ``radius`` [m] at the height of the rim, and lie clearly below it."""
+    """Select the points seen through the disk of ``radius`` [m] at the height of the rim, and lie clearly below it."""
     rim = evidence.top
     below = rim - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
@@ -129,13 +128,13 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     rim = _rim_radius(r, z, height, evidence.scale)
     inner = through_rim(evidence, axis, rim)
     edges = np.linspace(0.0, height, LEVELS + 1)
-    centres = (edges[:-1] + edges[1:]) / 2
+    centers = (edges[:-1] + edges[1:]) / 2
     outside = _level_radii(r[~inner], z[~inner], edges)
     inside = _level_radii(r[inner], z[inner], edges)
     pooled = np.where(np.isfinite(outside), outside, inside + WALL)
-    outer = _fill(centres, pooled, rim)
+    outer = _fill(centers, pooled, rim)
     floor = _floor(r, z, inner, rim, height)
-    levels = np.concatenate([[0.0], centres, [height]])
+    levels = np.concatenate([[0.0], centers, [height]])
     outer_at = np.concatenate([outer[:1], outer, [max(outer[-1], rim)]])
     outer_at = np.maximum(outer_at, _MIN_RADIUS + WALL)
     cavity = levels > floor + 1e-6

@@ -1,7 +1,7 @@
-"""Colour of a captured object: one robust colour, or a mesh whose texture is baked from the picture.
+"""Color of a captured object: one robust color, or a mesh whose texture is baked from the picture.
 
-The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up
-in the picture. What the camera did not see is coloured from the seen point that lies opposite.
+The texture is baked in space: every texel knows the point of the surface that it colors, and that point is looked up
+in the picture. What the camera did not see is colored from the seen point that lies opposite.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.capture.shapes.unwrap import Atlas, face_normals, unwrap
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.tessellate import tessellate
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
-_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its colour
-_NORMAL_WEIGHT = 0.03  # metres that a unit of normal counts when a seen point is looked for
-_LENDERS = 6000  # points that lend their colour: bounds the search for the nearest
-_TOO_FAR = 0.3  # of the object's size: beyond it, the plain colour is better than a stretched one
+_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its color
+_NORMAL_WEIGHT = 0.03  # meters that a unit of normal counts when a seen point is looked for
+_LENDERS = 6000  # points that lend their color: bounds the search for the nearest
+_TOO_FAR = 0.3  # of the object's size: beyond it, the plain color is better than a stretched one
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +37,9 @@ class _Texels:
 
 
 def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Robust mean colour of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
+    """Robust mean color of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
 
-    Left out are the rim of the mask, where colours mix, and the darkest tenth and lightest fifth: shadows, highlights.
+    Left out are the rim of the mask, where colors mix, and the darkest tenth and lightest fifth: shadows, highlights.
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -55,15 +54,15 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
 def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> Mesh:
     """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
 
-    ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
+    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors from outside it never enter. Raises ``ValueError``
     if the mask is empty.
     """
     if not mask.any():
-        raise ValueError("an empty mask has no colours to make a texture from")
+        raise ValueError("an empty mask has no colors to make a texture from")
     mesh = tessellate(shape.geometry)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
-    texels = _rasterise(atlas, vertices, faces)
+    texels = _rasterize(atlas, vertices, faces)
     colors = _paint(texels, _View.of(shape, frame, support, mask), np.array(dominant_color(frame, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
     new_faces = atlas.faces.copy()
@@ -71,7 +70,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), _png(picture))
 
 
-def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
+def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
     """Find the texels inside each face, and the point and normal of the surface at each."""
     normals = face_normals(vertices, faces)
     point_map = np.full((atlas.size, atlas.size, 3), np.nan)
@@ -85,7 +84,7 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
         x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
         weights = np.linalg.solve(edges, np.stack([x.ravel() - corners[0, 0], y.ravel() - corners[0, 1]]))
         weights = np.vstack([1.0 - weights.sum(axis=0), weights])
-        # A weight times the height over its edge is a distance [texels]. A texel whose centre just misses the face
+        # A weight times the height over its edge is a distance [texels]. A texel whose center just misses the face
         # belongs to it all the same, or seams would show.
         sides = np.linalg.norm(corners[[1, 2, 0]] - corners[[2, 0, 1]], axis=1)
         heights = abs(np.linalg.det(edges)) / np.maximum(sides, 1e-9)
@@ -103,7 +102,7 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
 class _View:
     """The picture as the texture needs it, and how a point of the object comes into it.
 
-    ``colors`` float32, shape (h, w, 3), free of foreign colours; ``core`` bool, shape (h, w), the object's pixels
+    ``colors`` float32, shape (h, w, 3), free of foreign colors; ``core`` bool, shape (h, w), the object's pixels
     without their mixed rim.
     """
 
@@ -120,7 +119,7 @@ class _View:
         return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
 
     def look(self, points: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Colours, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
+        """Colors, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
         from scipy import ndimage
 
         p_W = self.shape.X_WO.apply(points)
@@ -142,25 +141,25 @@ class _View:
 
 
 def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
-    """Colours of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
+    """Colors of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
     points, normals = texels.points, texels.normals
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    center = (points.min(axis=0) + points.max(axis=0)) / 2
     colors, done = np.tile(plain, (len(points), 1)), np.zeros(len(points), dtype=bool)
     # A half turn keeps writing readable, so it goes before the mirror images.
     for flip in ((1, 1, 1), (-1, -1, 1), (-1, 1, 1), (1, -1, 1)):
         todo = np.nonzero(~done)[0]
         if len(todo) == 0:
             return colors
-        found, seen = view.look((points[todo] - centre) * flip + centre, normals[todo] * flip)
+        found, seen = view.look((points[todo] - center) * flip + center, normals[todo] * flip)
         colors[todo[seen]] = found[seen]
         done[todo[seen]] = True
     if 10 <= done.sum() < len(done):
-        _borrow(np.hstack([points - centre, _NORMAL_WEIGHT * normals]), colors, done)
+        _borrow(np.hstack([points - center, _NORMAL_WEIGHT * normals]), colors, done)
     return colors
 
 
 def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
-    """Fill the colours not ``done`` from the nearest that are, in place; those with none near keep what they have."""
+    """Fill the colors not ``done`` from the nearest that are, in place; those with none near keep what they have."""
     from scipy.spatial import cKDTree
 
     lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
@@ -172,7 +171,7 @@ def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
-    """The texture: texels off the surface take the nearest colour on it, so that filtering meets no foreign one."""
+    """The texture: texels off the surface take the nearest color on it, so that filtering meets no foreign one."""
     picture = np.zeros((size, size, 3), dtype=np.float32)
     on_surface = np.zeros((size, size), dtype=bool)
     picture[texels.row, texels.col] = colors
@@ -181,7 +180,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
 
 
 def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Give every pixel that is not ``known`` the colour of the nearest one that is."""
+    """Give every pixel that is not ``known`` the color of the nearest one that is."""
     from scipy import ndimage
 
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -201,3 +200,122 @@ def _png(picture: NDArray[np.uint8]) -> bytes:
     if not done:
         raise RuntimeError("the texture could not be written as a PNG")
     return bytes(data.tobytes())
+
+
+_GUTTER = 4.0  # texels between charts, so that filtering never mixes two of them
+_DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """An unwrapped mesh: vertices are repeated where charts meet.
+
+    ``source`` the vertex of the original mesh, shape (n,); ``faces`` into the new vertices, shape (m, 3), in the order
+    of the original faces; ``texel`` positions in the texture [texels, x right, y down], shape (n, 2).
+    """
+
+    source: NDArray[np.intp]
+    faces: NDArray[np.int32]
+    texel: Array
+    size: int
+
+    @property
+    def uv(self) -> Array:
+        """Texture coordinates, v up, shape (n, 2)."""
+        return np.column_stack([self.texel[:, 0] / self.size, 1.0 - self.texel[:, 1] / self.size])
+
+
+def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
+    """Unwrap a mesh (vertices [m], shape (n, 3); faces shape (m, 3)) into a square texture of ``size`` texels."""
+    facing = _facing(vertices, faces)
+    chart = _charts(faces, facing)
+    source_parts, texel_parts, extents = [], [], []
+    new_faces = np.zeros_like(faces)
+    offset = 0
+    for k in range(int(chart.max()) + 1):
+        chosen = np.nonzero(chart == k)[0]
+        used, local = np.unique(faces[chosen], return_inverse=True)
+        axis = int(facing[chosen[0]]) // 2
+        plane = np.delete(vertices[used], axis, axis=1)
+        if axis != 2:
+            plane = plane * [1.0, -1.0]  # upright in the texture: z up is y up
+        new_faces[chosen] = local.reshape(-1, 3) + offset
+        offset += len(used)
+        source_parts.append(used)
+        texel_parts.append(plane - plane.min(axis=0))
+        extents.append(np.ptp(plane, axis=0))
+    corners, scale = _pack(np.array(extents), size)
+    texel = np.concatenate([part * scale + corner for part, corner in zip(texel_parts, corners, strict=True)])
+    return Atlas(np.concatenate(source_parts), new_faces, texel, size)
+
+
+def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """Unit normals, shape (m, 3)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15))
+
+
+def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Pairs of faces that share an edge, shape (k, 2)."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort((owner, edges[:, 1], edges[:, 0]))
+    edges, owner = edges[order], owner[order]
+    same = np.all(edges[1:] == edges[:-1], axis=1)
+    return np.column_stack([owner[:-1][same], owner[1:][same]])
+
+
+def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
+    """The direction each face belongs to; a lone face among others joins them, so that charts stay few."""
+    dots = face_normals(vertices, faces) @ _DIRECTIONS.T
+    facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
+    pairs = _neighbors(faces)
+    for _ in range(3):
+        votes = np.zeros((len(faces), 6))
+        np.add.at(votes, (pairs[:, 0], facing[pairs[:, 1]]), 1.0)
+        np.add.at(votes, (pairs[:, 1], facing[pairs[:, 0]]), 1.0)
+        votes[dots < 0.35] = 0.0
+        wanted = np.argmax(votes, axis=1)
+        facing = np.where(votes[np.arange(len(faces)), wanted] >= 2, wanted, facing)
+    return np.asarray(facing)
+
+
+def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number the connected patches of faces with one direction."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = _neighbors(faces)
+    pairs = pairs[facing[pairs[:, 0]] == facing[pairs[:, 1]]]
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces)))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _pack(extents: Array, size: int) -> tuple[Array, float]:
+    """Corners [texels] and the largest common scale [texels/m] at which all rectangles fit the texture."""
+    low, high = 0.0, size / max(float(extents.max()), 1e-9)
+    for _ in range(24):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _shelves(extents * middle, size) is not None else (low, middle)
+    corners = _shelves(extents * low, size)
+    if corners is None:  # more charts than gutters leave room for: let them share one spot
+        return np.full((len(extents), 2), _GUTTER), 0.0
+    return corners, low
+
+
+def _shelves(extents: Array, size: int) -> Array | None:
+    """Corners of rectangles set on shelves, tallest first, or None if they do not fit."""
+    corners = np.zeros_like(extents)
+    x = y = _GUTTER
+    shelf = 0.0
+    for k in np.lexsort((np.arange(len(extents)), -extents[:, 1])):
+        width, height = extents[k]
+        if x + width + _GUTTER > size:
+            x, y, shelf = _GUTTER, y + shelf + _GUTTER, 0.0
+        if x + width + _GUTTER > size or y + height + _GUTTER > size:
+            return None
+        corners[k] = (x, y)
+        x += width + _GUTTER
+        shelf = max(shelf, float(height))
+    return corners

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -21,7 +19,7 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Condition, parse_call, parts
 from simfoundry.worlds.footing import is_ball
 from simfoundry.worlds.mujoco_world import MujocoWorld
-from simfoundry.worlds.rest import is_confined, is_still
+from simfoundry.worlds.rest import is_confined, run_to_rest, tilt_deg
 
 PENETRATION = 0.001
 """Maximum penetration depth at rest [m]."""
@@ -35,7 +33,7 @@ class Examined:
     """The result of examining a layout: the reasons for rejection (none if it is accepted), the poses X_WO of the
     objects it moved, and the state of all objects.
 
-    ``unchecked`` lists the checks that could not be made. ``seconds`` per stage are timings and not part of the result.
+    ``unchecked`` lists the checks that could not be made.
     """
 
     accepted: bool
@@ -43,40 +41,21 @@ class Examined:
     poses: Mapping[str, Pose]
     state: SceneState
     unchecked: tuple[str, ...]
-    seconds: Mapping[str, float]
 
 
 def examine(twin: Twin, layout: Layout) -> Examined:
     """Settle a layout and check it, cheap checks first; if physics fails, no further check runs."""
-    clock = _Clock()
     absent = twin.absent - set(layout.poses)
     settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
-    clock.lap("settling")
     reasons = list(_at_rest(layout, settled))
     unchecked: list[str] = []
     if not reasons:
         reasons += _as_asked(twin, layout, settled.state)
-        clock.lap("predicates")
         reasons += _seen(twin, layout, settled.state, unchecked)
-        clock.lap("view")
     if not reasons:
         reasons += _reached(twin, settled.state, unchecked)
-        clock.lap("reach")
     poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
-    return Examined(
-        not reasons, tuple(reasons), poses, settled.state, tuple(dict.fromkeys(unchecked)), MappingProxyType(clock.laps)
-    )
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name] = now - self._last
-        self._last = now
+    return Examined(not reasons, tuple(reasons), poses, settled.state, tuple(dict.fromkeys(unchecked)))
 
 
 def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
@@ -85,13 +64,13 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
     if settled.deepest > PENETRATION:
         a, b = settled.between
         text = f"`{a}` and `{b}` overlap by {1000 * settled.deepest:.1f} mm at rest"
-        yield Reason("penetrates", text, _numbers(depth_m=settled.deepest))
+        yield Reason("penetrates", text, {"depth_m": settled.deepest})
     for name, far in settled.moved.items():
         if name not in layout.dropped and far > DRIFT:
-            yield Reason("moved", f"`{name}` moves {100 * far:.1f} cm as it settles", _numbers(moved_m=far))
+            yield Reason("moved", f"`{name}` moves {100 * far:.1f} cm as it settles", {"moved_m": far})
     for name, tilt in settled.tilted.items():
         if name not in layout.dropped and tilt > TILT_DEG:
-            yield Reason("tilted", f"`{name}` tilts by {tilt:.1f} deg as it settles", _numbers(tilted_deg=tilt))
+            yield Reason("tilted", f"`{name}` tilts by {tilt:.1f} deg as it settles", {"tilted_deg": tilt})
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
@@ -100,15 +79,13 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
     for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
-            yield Reason(
-                "not_as_asked", f"{text} does not hold at rest: {verdict.why}", _numbers(margin=verdict.margin)
-            )
+            yield Reason("not_as_asked", f"{text} does not hold at rest: {verdict.why}", {"margin": verdict.margin})
     for text in _false(twin, kept_relations(twin, layout.poses), batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
-            yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
+            yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", {"margin": verdict.margin})
     if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
-        yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
+        yield Reason("goal_true", f"the goal is true already: {goal.why}", {"margin": goal.margin})
 
 
 def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
@@ -153,7 +130,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
         camera, share = best_view(cameras, name, surfaces, least)
         if share < least:
             text = f"only {share:.0%} of `{name}` is visible to `{camera}`, its best view; {least:.0%} is required"
-            yield Reason("out_of_view", text, _numbers(share=share))
+            yield Reason("out_of_view", text, {"share": share})
 
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
@@ -171,15 +148,7 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
         if not result.reached:
             text = f"no arm can get down to `{name}` from above: it is {result.away:.2f} m from the base of "
             text += f"`{result.robot}`"
-            yield Reason("out_of_reach", text, _numbers(away_m=result.away))
-
-
-def _margin(verdict: Verdict) -> Mapping[str, float]:
-    return _numbers(margin=verdict.margin)
-
-
-def _numbers(**values: float) -> Mapping[str, float]:
-    return MappingProxyType({name: float(value) for name, value in values.items()})
+            yield Reason("out_of_reach", text, {"away_m": result.away})
 
 
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
@@ -193,9 +162,6 @@ SLEEP = 5e-4
 mm.
 """
 
-STILL_M, STILL_DEG = 1e-4, 0.1
-"""An object that moves and turns less than this in one step is at rest. Balls may keep turning."""
-
 CALM_S = 2.0
 """Time [s] at which only balls still roll: their velocity is then set to zero, and the remaining time shows whether a
 hollow holds them.
@@ -208,7 +174,7 @@ class SettledLayout:
     object.
 
     ``restless`` objects never came to rest; ``deepest`` [m] is the largest final penetration, between the two named
-    objects; ``seconds`` is the simulated time until rest.
+    objects.
     """
 
     state: SceneState
@@ -217,7 +183,6 @@ class SettledLayout:
     restless: tuple[str, ...]
     deepest: float
     between: tuple[str, str]
-    seconds: float
 
 
 def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
@@ -228,29 +193,23 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
     _let_sleep(world)
     world.reset(_without(world, state, gone))
-    elapsed, last, restless = 0.0, state, tuple[str, ...]()
     calmed: SceneState | None = None
-    while elapsed < MOST_S:
-        world.step(round(STEP_S / world.timestep))
-        elapsed += STEP_S
-        now = world.state()
-        restless = tuple(
-            o.name
-            for o in items
-            if not is_still(o, last.poses[o.name], now.poses[o.name], STILL_M, math.radians(STILL_DEG))
-        )
-        last = now
-        if restless and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in restless):
+
+    def watch(elapsed: float, moving: set[str]) -> bool:
+        nonlocal calmed
+        if moving and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in moving):
             world.halt()  # an object that stays in place from here on lies in a hollow
-            calmed = now
-        if _asleep(world) or (elapsed >= LEAST_S and not restless):
-            restless = ()
-            break
-        if world.trouble():
-            restless = restless or tuple(o.name for o in items)
-            break
-    if calmed is not None:
-        restless = tuple(n for n in restless if not is_confined(world.scene.object(n), calmed.poses[n], now.poses[n]))
+            calmed = world.state()
+        return _is_asleep(world) or bool(world.trouble())
+
+    moving = run_to_rest(world, STEP_S, LEAST_S, MOST_S, lambda _: gone, watch)
+    now = world.state()
+    if _is_asleep(world):
+        moving = set()
+    elif world.trouble():
+        moving = moving or {o.name for o in items}
+    elif calmed is not None:
+        moving = {n for n in moving if not is_confined(world.scene.object(n), calmed.poses[n], now.poses[n])}
     deepest, between = 0.0, ("", "")
     for contact in world.contacts():
         if contact.depth > deepest and not gone & {contact.a, contact.b}:
@@ -260,7 +219,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
         end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
     moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
     tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
-    return SettledLayout(end, moved, tilted, restless, deepest, between, elapsed)
+    return SettledLayout(end, moved, tilted, tuple(o.name for o in items if o.name in moving), deepest, between)
 
 
 def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
@@ -283,12 +242,6 @@ def _let_sleep(world: MujocoWorld) -> None:
         world.model.opt.sleep_tolerance = SLEEP
 
 
-def _asleep(world: MujocoWorld) -> bool:
+def _is_asleep(world: MujocoWorld) -> bool:
     """Return whether every body that could move is asleep."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0
-
-
-def tilt_deg(before: Pose, after: Pose) -> float:
-    """Angle between the vertical and the axis that pointed up before [deg]."""
-    up = before.rotation[2]
-    return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))

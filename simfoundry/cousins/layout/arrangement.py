@@ -85,8 +85,8 @@ class _Block:
         low, span = (np.repeat(np.array([r.span[k] for r in regions]), EACH, axis=0) for k in (0, 1))
         drawn = rng.random((len(things) * EACH, 3)) * span + low
         turn = np.exp(1j * drawn[:, 2])
-        self._centre = drawn[:, 0] + 1j * drawn[:, 1]
-        frame = self._centre - turn * _each([o.middle for o in outlines])
+        self._center = drawn[:, 0] + 1j * drawn[:, 1]
+        frame = self._center - turn * _each([o.middle for o in outlines])
         self._spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
         self._side = turn * _each([o.turn for o in outlines])
         self._half = _each([complex(*o.half.tolist()) for o in outlines])
@@ -103,7 +103,7 @@ class _Block:
 
     def _meet_each_other(self, standing: Mask) -> None:
         live = np.flatnonzero(standing)
-        p, size = self._centre[live], np.abs(self._half[live])
+        p, size = self._center[live], np.abs(self._half[live])
         dx, dy = p.real - p.real[:, None], p.imag - p.imag[:, None]
         reach = size + (size[:, None] + self._gap)
         close = dx * dx + dy * dy < reach * reach
@@ -113,7 +113,7 @@ class _Block:
         other &= self._low[j] < self._high[i] + self._gap
         i, j = i[other], j[other]
         met = rectangles_meet(
-            self._centre[j] - self._centre[i], self._side[i], self._half[i], self._side[j], self._half[j], self._gap
+            self._center[j] - self._center[i], self._side[i], self._half[i], self._side[j], self._half[j], self._gap
         )
         for a, b in zip(i[met].tolist(), j[met].tolist(), strict=True):
             self._meets.setdefault(a, []).append(b)
@@ -121,7 +121,7 @@ class _Block:
     def _meet_entries(self, entries: range) -> None:
         """Record which candidates overlap the given entries."""
         for c, entry in self._there.all_met(
-            entries, self._centre, self._side, self._half, self._low, self._high, self._gap
+            entries, self._center, self._side, self._half, self._low, self._high, self._gap
         ):
             self._doubt(c, entry)
 

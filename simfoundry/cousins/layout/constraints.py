@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
 from simfoundry.predicates.judging.thresholds import ENCLOSED
-from simfoundry.predicates.sides import viewer_axis
+from simfoundry.predicates.relative import viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
@@ -113,7 +113,7 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
         elif anchor in twin.riders(name):
             yield Reason("carries_anchor", f"`{name}` supports the anchor `{anchor}`, so it cannot move around it")
         elif not words:
-            yield Reason("no_predicate", f"`{name}` has no allowed predicate towards `{anchor}`")
+            yield Reason("no_predicate", f"`{name}` has no allowed predicate toward `{anchor}`")
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
@@ -164,7 +164,7 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
                 f"{max(0.0, end - high):.3f} m beyond it there, and `{name}` is {wide:.3f} m wide"
             )
             numbers = {"strip_deep_m": max(0.0, end - high), "width_m": wide}
-            yield Reason("no_room", text, MappingProxyType(numbers))
+            yield Reason("no_room", text, numbers)
             return
     farthest = _farthest(support, shape, side, wide)
     if axis.gap[0] > farthest:
@@ -173,7 +173,7 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
             f"no place {where} is {axis.gap[0]:g} m from `{anchor}`, as the least gap asks: `{name}` finds room for "
             f"{max(0.0, farthest):.3f} m at most"
         )
-        yield Reason("gap", text, MappingProxyType({"gap_m": axis.gap[0], "farthest_m": farthest}))
+        yield Reason("gap", text, {"gap_m": axis.gap[0], "farthest_m": farthest})
 
 
 def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) -> float:
@@ -220,7 +220,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
         text += f"{share:.0%} would be at most, however it is turned"
     else:
         text += f"in {DOUBTED * DROPS} drops, in all orientations, it never was"
-    yield Reason("too_large", text, MappingProxyType({"share": share}))
+    yield Reason("too_large", text, {"share": share})
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
@@ -243,7 +243,7 @@ def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[st
         return []
     listed = ", ".join(dict.fromkeys(words))
     text = f"no {several} of {listed} can hold for `{name}` at once, as `relations_per_object` asks"
-    return [Reason("contradiction", text, MappingProxyType({"together": float(several)}))]
+    return [Reason("contradiction", text, {"together": float(several)})]
 
 
 SIDES = {
@@ -330,7 +330,7 @@ def too_full(
         f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and random placement fills at most {FULL:.0%} of that"
     )
     numbers = {"needed_m2": taken + added, "support_m2": area, "things": float(len(here) + count)}
-    return (Reason("too_full", text, MappingProxyType(numbers)),)
+    return (Reason("too_full", text, numbers),)
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:

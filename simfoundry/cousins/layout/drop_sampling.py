@@ -5,7 +5,6 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterable
-from types import MappingProxyType
 
 import numpy as np
 
@@ -86,7 +85,7 @@ def drop(
     word = "inside" if "Inside" in words else "on"
     text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
     numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
-    return Reason("no_place", text, MappingProxyType(numbers))
+    return Reason("no_place", text, numbers)
 
 
 def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:

@@ -22,7 +22,7 @@ from simfoundry.cousins.layout.twin import Twin, TwinError
 from simfoundry.cousins.recipe.candidate import Reason, Rejected
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.poses import Poses, rotations
-from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.view import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
@@ -249,7 +249,7 @@ def no_room(
     text += f"{found.tried:,} tries, {found.standing:,} on `{support.name}`"
     if axis is not None:
         text += f", {found.allowed:,} where asked, none free at a gap of {axis.gap[0]:g} to {axis.gap[1]:g} m"
-    return Reason("no_room", text, MappingProxyType(numbers))
+    return Reason("no_room", text, numbers)
 
 
 def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ...]) -> tuple[float, float] | None:

@@ -62,8 +62,8 @@ class Occupancy:
             self._heights = np.concatenate([self._heights, np.zeros_like(self._heights)], axis=1)
             self._half, self._turn = (np.concatenate([v, np.zeros_like(v)]) for v in (self._half, self._turn))
         turn = cmath.rect(1.0, yaw)
-        centre = complex(x, y) + turn * outline.middle
-        self._rows[:, k] = centre.real, centre.imag, outline.size, z + outline.low, z + outline.high, outline.area
+        center = complex(x, y) + turn * outline.middle
+        self._rows[:, k] = center.real, center.imag, outline.size, z + outline.low, z + outline.high, outline.area
         self._heights[:, k] = self._rows[3:5, k]
         self._half[k], self._turn[k] = complex(*outline.half.tolist()), turn * outline.turn
         self._boxy.append(outline.boxy)
@@ -76,12 +76,12 @@ class Occupancy:
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
 
-    def near(self, centre: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
+    def near(self, center: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
         """Mask (n, k) of candidates and entries whose bounding circles are closer than ``gap``, and their
         offsets [m].
         """
         rows = self._rows[:, : self.count]
-        dx, dy = rows[0] - centre[:, :1], rows[1] - centre[:, 1:]
+        dx, dy = rows[0] - center[:, :1], rows[1] - center[:, 1:]
         reach = rows[2] + (outline.size + gap)
         near = dx * dx + dy * dy < reach * reach
         level = (rows[3] < z + outline.high + gap) & (rows[4] > z + outline.low - gap)
@@ -98,7 +98,7 @@ class Occupancy:
         return rectangles_meet(dx + 1j * dy, turn[i] * outline.turn, half, self._turn[j], self._half[j], gap)
 
     def all_met(
-        self, entries: range, centre: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
+        self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> Iterator[tuple[int, int]]:
         """Yield pairs of rectangles (as in :func:`rectangles_meet`, each with a height range) and entries that
         overlap.
@@ -106,7 +106,7 @@ class Occupancy:
         rows = self._rows[:, entries.start : entries.stop]
         if not rows.shape[1]:
             return
-        off = (rows[0] + 1j * rows[1]) - centre[:, None]
+        off = (rows[0] + 1j * rows[1]) - center[:, None]
         reach = rows[2] + (np.abs(half)[:, None] + gap)
         near = off.real**2 + off.imag**2 < reach * reach
         near &= (rows[3] < high[:, None] + gap) & (rows[4] > low[:, None] - gap)
@@ -208,46 +208,46 @@ def find(
     tried = standing = permitted = 0
     size, offset = FIRST if demands.allowed is None else FIRST_JUDGED, outline.middle
     while tried < tries:
-        centre, yaw = region.draw(rng, size)
+        center, yaw = region.draw(rng, size)
         turn = np.exp(1j * yaw)
         tried += size
         size = min(4 * size, MOST)
-        left = region.support.holds(centre, turn, outline.spread).nonzero()[0]
+        left = region.support.holds(center, turn, outline.spread).nonzero()[0]
         standing += len(left)
         if demands.allowed is not None and len(left):
-            p = _frames(centre[left], turn[left], offset)
+            p = _frames(center[left], turn[left], offset)
             left = left[demands.allowed(p.real, p.imag, yaw[left])]
             permitted += len(left)
         if not len(left):
             continue
-        centre, yaw, turn = centre[left], yaw[left], turn[left]
-        for k, met in _unblocked(outline, region.z, there, gap, demands.last is None, centre, turn):
-            if met and (demands.clear is None or not demands.clear(*_spot(centre[k], yaw[k], turn[k], offset), met)):
+        center, yaw, turn = center[left], yaw[left], turn[left]
+        for k, met in _unblocked(outline, region.z, there, gap, demands.last is None, center, turn):
+            if met and (demands.clear is None or not demands.clear(*_spot(center[k], yaw[k], turn[k], offset), met)):
                 continue
-            spot = _spot(centre[k], yaw[k], turn[k], offset)
+            spot = _spot(center[k], yaw[k], turn[k], offset)
             if demands.last is None or demands.last(*spot):
                 return Found(spot, tried, standing, permitted)
     return Found(None, tried, standing, permitted)
 
 
-def _frames(centre: Array, turn: Complex, offset: complex) -> Complex:
+def _frames(center: Array, turn: Complex, offset: complex) -> Complex:
     """Frame positions x + iy [m] of objects whose rectangles have the given centers."""
-    return np.asarray(centre[:, 0] + 1j * centre[:, 1] - turn * offset)
+    return np.asarray(center[:, 0] + 1j * center[:, 1] - turn * offset)
 
 
-def _spot(centre: Array, yaw: float, turn: complex, offset: complex) -> tuple[float, float, float]:
-    p = complex(*centre.tolist()) - complex(turn) * offset
+def _spot(center: Array, yaw: float, turn: complex, offset: complex) -> tuple[float, float, float]:
+    p = complex(*center.tolist()) - complex(turn) * offset
     return p.real, p.imag, float(yaw)
 
 
 def _unblocked(
-    outline: Outline, z: float, there: Occupancy, gap: float, first: bool, centre: Array, turn: Complex
+    outline: Outline, z: float, there: Occupancy, gap: float, first: bool, center: Array, turn: Complex
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Yield, in order, the candidates that are not certainly blocked, each with the entries whose rectangles it meets.
 
     If only the ``first`` is needed, candidates after one that meets nothing are skipped.
     """
-    near, dx, dy = there.near(centre, outline, z, gap)
+    near, dx, dy = there.near(center, outline, z, gap)
     some: list[bool] = np.asarray(near.any(axis=1)).tolist()
     if first and False in some:
         some = some[: some.index(False) + 1]

@@ -31,13 +31,13 @@ LEVEL = 2e-4
 class Outline:
     """Top view of an object, in the frame that it has at its place before the rotation about z.
 
-    ``corners`` [m] of its convex shadow, counter-clockwise, shape (m, 2). The rectangle has its ``centre`` [m], shape
+    ``corners`` [m] of its convex shadow, counter-clockwise, shape (m, 2). The rectangle has its ``center`` [m], shape
     (2,), ``half`` extents [m], shape (2,), and is rotated by ``angle`` [rad]. ``low`` and ``high`` [m] are relative to
     the frame's origin. ``boxy`` is true if the object fills the rectangle from low to high.
     """
 
     corners: Array
-    centre: Array
+    center: Array
     half: Array
     angle: float
     low: float
@@ -50,14 +50,14 @@ class Outline:
         if not len(shape.corners):
             raise ValueError("there are no convex parts")
         corners = _shadow(shape)
-        centre, half, angle = _rectangle(corners)
+        center, half, angle = _rectangle(corners)
         low, high = shape.extent(np.array([0.0, 0.0, 1.0]))
-        return cls(corners, centre, half, angle, low, high, _fills(shape, corners, half, low, high))
+        return cls(corners, center, half, angle, low, high, _fills(shape, corners, half, low, high))
 
     @cached_property
     def spread(self) -> Array:
         """Corners relative to the center of the rectangle [m], shape (2, m)."""
-        return np.ascontiguousarray((self.corners - self.centre).T)
+        return np.ascontiguousarray((self.corners - self.center).T)
 
     @cached_property
     def radius(self) -> float:
@@ -72,7 +72,7 @@ class Outline:
     @cached_property
     def middle(self) -> complex:
         """Center as x + iy [m]."""
-        return complex(*self.centre.tolist())
+        return complex(*self.center.tolist())
 
     @cached_property
     def turn(self) -> complex:
@@ -139,8 +139,8 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
     u = edges[k]
     v = np.array([-u[1], u[0]])
     (a0, a1), (b0, b1) = ((low[k], high[k]) for low, high in spans)
-    centre = u * (a0 + a1) / 2 + v * (b0 + b1) / 2
-    return centre, np.array([a1 - a0, b1 - b0]) / 2, float(np.arctan2(u[1], u[0]))
+    center = u * (a0 + a1) / 2 + v * (b0 + b1) / 2
+    return center, np.array([a1 - a0, b1 - b0]) / 2, float(np.arctan2(u[1], u[0]))
 
 
 def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
@@ -231,7 +231,7 @@ class Support:
         """Offsets of the sides along their normals [m], shape (m,)."""
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
-    def holds(self, centre: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
+    def holds(self, center: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
         """Return whether whole shadows lie over the level, (n,).
 
         Arguments: the centers of their rectangles [m], (n, 2); their rotations about z as unit complex numbers, (n,);
@@ -240,13 +240,13 @@ class Support:
         # Rotate the sides into the object's frame, in which the shadow's farthest corner along each side is known.
         sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
         reach = (sides @ spread).max(axis=-1)
-        within: NDArray[np.bool_] = (centre @ self.normals.T + reach <= self.offsets).all(axis=1)
+        within: NDArray[np.bool_] = (center @ self.normals.T + reach <= self.offsets).all(axis=1)
         if self.plane is not None and within.any():
             import shapely
 
             each = np.broadcast_to(spread, (len(turn), *spread.shape[-2:]))[within]
             corners = (each[:, 0] + 1j * each[:, 1]) * turn[within, None]
-            points = corners.view(np.float64).reshape(*corners.shape, 2) + centre[within, None]
+            points = corners.view(np.float64).reshape(*corners.shape, 2) + center[within, None]
             within[within] = shapely.covers(self.plane, shapely.polygons(points))
         return within
 

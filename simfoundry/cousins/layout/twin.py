@@ -10,13 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from simfoundry.cousins.layout.colliders import Solids
 from simfoundry.cousins.layout.supports import Outline, Support
-from simfoundry.cousins.layout.twin_objects import TwinObject, TwinRobots, joined, link_shadows
+from simfoundry.cousins.layout.twin_objects import Solids, TwinObject, TwinRobots, joined, link_shadows
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.placement import rounded
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.scene.lower import lower

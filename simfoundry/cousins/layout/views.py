@@ -34,11 +34,11 @@ resolution.
 class VisibleSurface:
     """Visible surface of an object: triangles [m] in its frame S, shape (m, 3, 3), and the pose of S.
 
-    ``centre`` [m] in S, shape (3,), and ``radius`` [m] describe its bounding sphere.
+    ``center`` [m] in S, shape (3,), and ``radius`` [m] describe its bounding sphere.
     """
 
     triangles: Array
-    centre: Array
+    center: Array
     radius: float
     X_WS: Pose = IDENTITY
 
@@ -62,7 +62,7 @@ class VisibleSurface:
 
     def at(self, X_WS: Pose) -> VisibleSurface:
         """Return the surface at another pose."""
-        return VisibleSurface(self.triangles, self.centre, self.radius, X_WS)
+        return VisibleSurface(self.triangles, self.center, self.radius, X_WS)
 
     def seen_from(self, camera: Camera) -> Array:
         """Triangles in the camera's frame [m], shape (m, 3, 3)."""
@@ -104,7 +104,7 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
 
 def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, depth: float) -> Array:
     """Triangles, in the camera's frame, that may occlude part of a rectangle of the plane z = 1 up to a depth."""
-    x, y, z = camera.X_WC.inverse().apply(other.X_WS.apply(other.centre))
+    x, y, z = camera.X_WC.inverse().apply(other.X_WS.apply(other.center))
     near = max(z - other.radius, CLOSEST)
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
+from itertools import chain, count
 from types import MappingProxyType
 from typing import Any
 
@@ -88,6 +89,11 @@ class Candidate:
             return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a candidate: {error}") from None
+
+
+def free_name(name: str, taken: Container[str]) -> str:
+    """Return a name, or the first of its numbered alternatives, that is not taken: ``mug``, ``mug_2``, ``mug_3``."""
+    return next(n for n in chain((name,), (f"{name}_{k}" for k in count(2))) if n not in taken)
 
 
 def file_of(index: int, kind: str) -> str:

@@ -10,17 +10,17 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.cousins.objects.appearance import category_prior, same_kind
-from simfoundry.cousins.objects.retrieval import Likeness, likeness
-from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
+from simfoundry.cousins.objects.retrieval import likeness
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason, free_name
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.shipped import shipped
+from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
@@ -96,11 +96,16 @@ def read_library(folder: Path, cache: Cache | None = None) -> Library:
         try:
             item = measured(file, cache or Cache.default())
         except (SpecError, SimfoundryError) as error:
-            faults.append((file.relative_to(folder).as_posix(), _said(error)))
+            why = error.diagnostics[0].message if isinstance(error, SpecError) else str(error)
+            faults.append((file.relative_to(folder).as_posix(), why))
             continue
-        name = next(n for n in names(item.name) if n not in items)
-        items[name] = replace(item, name=name)
+        _add(items, item)
     return Library(folder.name, tuple(items.values()), tuple(faults))
+
+
+def _add(items: dict[str, LibraryItem], item: LibraryItem) -> None:
+    name = free_name(item.name, items)
+    items[name] = replace(item, name=name)
 
 
 def united(libraries: Sequence[Library]) -> Library:
@@ -109,17 +114,10 @@ def united(libraries: Sequence[Library]) -> Library:
     digests = set[str]()
     for item in (item for of in libraries for item in of.items):
         if item.digest not in digests:
-            name = next(n for n in names(item.name) if n not in items)
-            items[name] = replace(item, name=name)
+            _add(items, item)
             digests.add(item.digest)
     title = " and ".join(of.title for of in libraries)
     return Library(title, tuple(items.values()), tuple(fault for of in libraries for fault in of.faults))
-
-
-def _said(error: Exception) -> str:
-    if isinstance(error, SpecError):
-        return error.diagnostics[0].message
-    return str(error)
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -147,15 +145,6 @@ def name_of(file: Path) -> str:
         stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
     word = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_0123456789")
     return word[:48].rstrip("_") or "thing"
-
-
-def names(name: str) -> Iterator[str]:
-    """Yield a name and numbered alternatives: ``mug``, ``mug_2``, ``mug_3``."""
-    yield name
-    k = 2
-    while True:
-        yield f"{name}_{k}"
-        k += 1
 
 
 def described(file: Path) -> Loaded:
@@ -189,18 +178,12 @@ def measured(file: Path, cache: Cache) -> LibraryItem:
     stored = cache.get(key)
     facts = _read(stored) if stored is not None else None
     if facts is None:
-        facts = {**measure(lowered(file)), "stated": _states_category(loaded, file)}
+        asset = loaded.used(file.name)  # None for a mesh, which states no category
+        stated = asset is not None and getattr(asset.spec, "category", None) is not None
+        facts = {**measure(lowered(file)), "stated": stated}
         cache.put(key, json.dumps(facts).encode())
     size, stated = tuple(facts["size"]), facts["stated"]
     return LibraryItem(name_of(file), facts["category"], file, facts["mass"], facts["volume"], size, digest, stated)
-
-
-def _states_category(scene: Loaded, file: Path) -> bool:
-    """Return whether the document of an object states its category; a mesh never does."""
-    from simfoundry.spec.models.asset import AssetSpec
-
-    asset = scene.used(file.name)
-    return asset is not None and isinstance(asset.spec, AssetSpec) and asset.spec.category is not None
 
 
 def _read(stored: bytes) -> dict[str, Any] | None:
@@ -231,13 +214,13 @@ def volume(geometry: Any) -> float:
 
     match geometry:
         case Box():
-            return float(geometry.size.prod())
+            return mass.box(geometry.size).volume
         case Sphere():
-            return 4 / 3 * math.pi * geometry.radius**3
+            return mass.sphere(geometry.radius).volume
         case Cylinder():
-            return math.pi * geometry.radius**2 * geometry.height
+            return mass.cylinder(geometry.radius, geometry.height).volume
         case Capsule():
-            return math.pi * geometry.radius**2 * (geometry.height + 4 / 3 * geometry.radius)
+            return mass.capsule(geometry.radius, geometry.height).volume
         case Mesh():
             return abs(float(mass.mesh(geometry.vertices, geometry.faces).volume))
     raise TypeError(f"unknown geometry: {geometry!r}")
@@ -293,14 +276,17 @@ def _filters(
         yield KIND_OF_TWIN, lambda item: not _is_called(item, own)
         yield SHAPE_OF_TWIN, lambda item: not _is_nameless(item) or not _resembles(item, twin())
     if axis.exclude_categories:
-        yield (
-            f"not category {_listed(axis.exclude_categories)}",
-            lambda item: not _is_called(item, axis.exclude_categories),
-        )
+        excluded = axis.exclude_categories
+        yield f"not category {_listed(excluded)}", lambda item: not _is_called(item, excluded)
     for what, unit in (("mass", "kg"), ("volume", "m^3"), ("density", "kg/m^3")):
         bounds: ValueRange = getattr(axis, what)
         if bounds.min is not None or bounds.max is not None:
-            yield f"{what} {_range(bounds)} {unit}", _within(what, bounds)
+            yield f"{what} {_range(bounds)} {unit}", partial(_is_within, what, bounds)
+
+
+def _is_within(what: str, bounds: ValueRange, item: LibraryItem) -> bool:
+    low, high = bounds.min or 0.0, math.inf if bounds.max is None else bounds.max
+    return bool(low <= getattr(item, what) <= high)
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
@@ -314,28 +300,20 @@ def _is_nameless(item: LibraryItem) -> bool:
     return not item.stated and category_prior(item.name) is None
 
 
-def _resembles(item: LibraryItem, things: Sequence[SceneObject]) -> bool:
-    """Return whether an object has about the same size and shape as one of the others."""
-    mine = _likeness(item.file)
-    return any(
-        apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
-        for thing in things
-        if not thing.fixed
-        for apart in [mine.apart(likeness(thing))]
-    )
-
-
-@lru_cache(maxsize=1024)
-def _likeness(file: Path) -> Likeness:
-    return likeness(lowered(file))
+def _resembles(item: LibraryItem, others: Sequence[SceneObject]) -> bool:
+    """Return whether an object has about the same size and shape as one of the others that can move."""
+    own = likeness(lowered(item.file))
+    distances = (own.apart(likeness(other)) for other in others if not other.fixed)
+    return any(d.size < math.log(LIKE_SIZE) and d.shape < LIKE_SHAPE for d in distances)
 
 
 def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
     """Return notes for the user on the choice: objects too similar to the twin's, and objects without a category."""
-    found = []
-    for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
-        if step.taken:
-            found.append(f"left out {_few(step.taken)} of {library.title}: distractors need {why}")
+    found = [
+        f"left out {_few(step.taken)} of {library.title}: distractors need {step.asks}"
+        for step in steps
+        if step.taken and step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)
+    ]
     nameless = [item for item in chosen if not item.stated]
     if nameless:
         found.append(
@@ -348,15 +326,6 @@ def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[Fil
 def _few(items: Sequence[LibraryItem], most: int = 5) -> str:
     names = ", ".join(f"`{item.name}`" for item in items[:most])
     return names if len(items) <= most else f"{names} and {len(items) - most} more"
-
-
-def _within(what: str, bounds: ValueRange) -> Callable[[LibraryItem], bool]:
-    def passes(item: LibraryItem) -> bool:
-        value = float(getattr(item, what))
-        over = bounds.max is not None and value > bounds.max
-        return not over and not (bounds.min is not None and value < bounds.min)
-
-    return passes
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
@@ -396,8 +365,3 @@ def _range(bounds: ValueRange) -> str:
 
 def _listed(names: Iterable[str]) -> str:
     return " or ".join(f"`{name}`" for name in names)
-
-
-def facts(item: LibraryItem) -> dict[str, Any]:
-    """Return a plain mapping for lists."""
-    return {**asdict(item), "file": item.file.name, "density": item.density}

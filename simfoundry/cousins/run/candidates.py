@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,22 @@ from simfoundry.cousins.layout.acceptance import Examined, examine
 from simfoundry.cousins.layout.constraints import placement_constraints, too_full
 from simfoundry.cousins.layout.propose import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.layout.twin import Twin
-from simfoundry.cousins.recipe import library, overlay
-from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected
-from simfoundry.cousins.recipe.document import Recipe, read_recipe
+from simfoundry.cousins.recipe import library
+from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected, free_name
+from simfoundry.cousins.recipe.document import (
+    Data,
+    Recipe,
+    dependents,
+    moved_joints,
+    own_task,
+    read_recipe,
+    scene_overlay,
+    task_overlay,
+    written,
+)
 from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
 from simfoundry.scene.model import SceneObject
+from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
 
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
@@ -138,16 +150,12 @@ def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str
     axis = shared.recipe.spec.distractors
     if axis is None:
         return {}
-    items, taken = (
-        shared.recipe.distractors,
-        set(shared.recipe.scene_spec.objects) | set(shared.recipe.scene_spec.robots),
-    )
+    items, spec = shared.recipe.distractors, shared.recipe.scene_spec
     count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
     order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
     found: dict[str, library.LibraryItem] = {}
     for k in order[:count]:
-        name = next(n for n in library.names(items[k].name) if n not in taken and n not in found)
-        found[name] = items[k]
+        found[free_name(items[k].name, {*spec.objects, *spec.robots, *found})] = items[k]
     return found
 
 
@@ -159,37 +167,34 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
     """Write the documents of an accepted draw."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
-    documents: dict[str, str] = {}
+    documents, moved, goal = dict[str, str](), set[str](), ""
     if found is not None:
         moved = {*draw.layout.poses, *draw.others, *draw.added}
-        moved |= overlay.dependents(spec, moved)
+        moved |= dependents(spec, moved)
         free = [n for n in moved if not draw.twin.scene.object(n).fixed]
         poses = {name: found.state.poses[name] for name in sorted(free)}
-        state = replace(found.state, poses={**found.state.poses, **overlay.written(poses)})
+        state = replace(found.state, poses={**found.state.poses, **written(poses)})
         for text in draw.layout.asked:
             verdict = draw.twin.judge(text, state)
             if not verdict.value:
                 why = f"{text} holds by less than the rounding of written poses: {verdict.why}"
                 return Candidate(index, reasons=(Reason("too_close", why, {"margin": verdict.margin}),))
-        joints = overlay.moved_joints(draw.twin.scene, found.state, poses)
+        joints = moved_joints(draw.twin.scene, found.state, poses)
         relations = _relations(draw, state, spec.relations)
         changes = _changes(shared, draw)
-        documents["scene"] = overlay.scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
-    else:
-        moved = set()
-    goal = ""
+        documents["scene"] = scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
     if shared.pool.tasks:
         task = shared.pool.tasks[(index - 1) % len(shared.pool.tasks)]
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
         if reasons:
             return Candidate(index, reasons=reasons)
-        documents["task"] = overlay.own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
+        documents["task"] = own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
         goal = task.goal
     elif recipe.task is not None:
         reasons = _undoable(recipe, draw, found)
         if reasons:
             return Candidate(index, reasons=reasons)
-        documents["task"] = overlay.task_overlay(recipe, shared.out, index, moved, bool(draw.added))
+        documents["task"] = task_overlay(recipe, shared.out, index, moved, bool(draw.added))
     return Candidate(index, documents, draw.layout.asked, goal, found.unchecked if found is not None else ())
 
 
@@ -206,12 +211,12 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec.robots), ("mujoco",)))
 
 
-def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
+def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
     """Return the document fields of replaced and new objects, except their poses."""
-    found: dict[str, overlay.Data] = {}
+    found: dict[str, Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
-        gone = [key for key in _OF_LINKS if key in written.model_fields_set and is_document(choice.reference)]
+        gone = [key for key in OF_LINKS if key in written.model_fields_set and is_document(choice.reference)]
         gone += ["joints"] if written.joints else []
         found[name] = {"asset": choice.reference, **dict.fromkeys(gone)}
     for name, item in draw.added.items():
@@ -219,26 +224,11 @@ def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
     return found
 
 
-def _of_links() -> tuple[str, ...]:
-    from simfoundry.spec.check.scene import OF_LINKS
-
-    return OF_LINKS
-
-
-_OF_LINKS = _of_links()
-"""Fields of an object that an asset document determines for its links."""
-
-
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
     """Return the relations that hold: those stated by the twin, those requested, and the supports of new objects."""
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:
-        more += [f"OnTop({name}, {on})" for on in _below(draw, state, name)]
+        supports = (f"OnTop({name}, {item.name})" for item in draw.twin.scene.objects if item.fixed)
+        more += islice((text for text in supports if draw.twin.judge(text, state).value), 1)
     return (*holds, *more)
-
-
-def _below(draw: _Draw, state: Any, name: str) -> list[str]:
-    """Fixed objects that an object stands on."""
-    fixed = [item.name for item in draw.twin.scene.objects if item.fixed]
-    return [on for on in fixed if draw.twin.judge(f"OnTop({name}, {on})", state).value][:1]

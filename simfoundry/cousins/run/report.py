@@ -1,29 +1,39 @@
-"""``manifest.json``: the request of a run, every cousin, and every rejected candidate with its reasons and numbers.
+"""Outputs of a run: its manifest, summaries of its progress, pictures, and a USD stage with all cousins as variants.
 
-It is streamed line by line, so it may exceed the memory, and contains no times, paths or numbers of processes: equal
-runs give equal bytes.
+``manifest.json`` has the request, every cousin, and every rejected candidate with its reasons and numbers. It is
+streamed line by line, so it may exceed the memory, and contains no times, paths or numbers of processes: equal runs
+give equal bytes.
+
+The stage ``NAME.usda`` references a build of the twin with the union of all cousins' objects beside it, ``NAME/usd``.
+Each variant of the set ``cousin`` poses moved objects, selects the variants of replaced objects, and deactivates absent
+ones; ``twin`` is the twin itself.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from simfoundry.backends.artifact import number
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.run.log import Reader
-from simfoundry.cousins.run.run import MANIFEST, Ledger, RunPlan
+from simfoundry.cousins.recipe.document import Recipe, relative
+from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import writing_atomically
+from simfoundry.geometry.frames import Pose
+from simfoundry.runtime.files import MARK, writing_atomically
+from simfoundry.scene.state import pose
+from simfoundry.spec.models.base import PoseSpec
+from simfoundry.spec.yaml.text import parse
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
     from simfoundry.spec.models.scene import SceneSpec
 
 VERSION = "cousins-run/1"
-FILE = MANIFEST
+"""Format version of the manifest."""
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
@@ -44,7 +54,7 @@ def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
 
 def write_manifest(plan: RunPlan, ledger: Ledger) -> Path:
     """Write the manifest beside the cousins."""
-    path = plan.out / FILE
+    path = plan.out / MANIFEST
     with Reader() as reader, writing_atomically(path) as stream:
         head = json.dumps(summary(plan, ledger), indent=1, ensure_ascii=False)
         stream.write(head.removesuffix("\n}").encode())
@@ -68,18 +78,6 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
         return {"index": candidate.index, "reasons": [reason.to_json() for reason in candidate.reasons]}
     entry: dict[str, Any] = {"index": candidate.index, "files": candidate.files(), "asked": list(candidate.asked)}
     return entry | ({"goal": candidate.goal} if candidate.goal else {})
-
-
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of a folder of cousins; raises :class:`OutputError` if there is none."""
-    path = folder / FILE
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data["simfoundry"] == VERSION:
-            return dict(data)
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise OutputError(f"{path} is not a manifest of cousins")
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
@@ -134,3 +132,120 @@ def view(scene: Scene, spec: SceneSpec) -> Camera | None:
     height = max(1, round(camera.height * scale))
     cx, cy = scale * (camera.cx + 0.5) - 0.5, scale * (camera.cy + 0.5) - 0.5
     return replace(camera, width=WIDTH, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
+
+
+# -- USD stage ---------------------------------------------------------------------------------------------------------
+
+SET, TWIN = "cousin", "twin"
+"""Name of the variant set, and of its variant for the twin."""
+
+_HEAD = """\
+#usda 1.0
+(
+    "{mark}"
+    defaultPrim = "World"
+    kilogramsPerUnit = 1
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+
+def Xform "World" (
+    references = @{whole}@
+    variants = {{
+        string {set} = "{first}"
+    }}
+    prepend variantSets = "{set}"
+)
+{{
+    variantSet "{set}" = {{
+"""
+
+Objects = Mapping[str, Mapping[str, Any]]
+
+
+def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
+    """Write the stage of a run's cousins; raises :class:`OutputError` if they have no scenes of their own."""
+    if path.suffix != ".usda":
+        raise OutputError(f"a stage is written as text; name it {path.with_suffix('.usda').name}")
+    added: dict[str, Mapping[str, Any]] = {}
+    others: dict[str, dict[str, str]] = {}
+    for _, objects in _cousins(ledger):
+        for name, data in objects.items():
+            if name not in recipe.scene_spec.objects:
+                added.setdefault(name, data)
+            elif "asset" in data:
+                others.setdefault(name, {})[_variant(data["asset"])] = data["asset"]
+    whole = _whole(plan, recipe, added, others)
+    home = {name: item.X_WO for name, item in whole.by_name.items()}
+    _build(whole, path)
+    with writing_atomically(path) as stream:
+        stream.write(_head(path).encode())
+        stream.write(_block(TWIN, {}, added, home).encode())
+        for index, objects in _cousins(ledger):
+            stream.write(_block(f"c{index:06d}", objects, added, home).encode())
+        stream.write(b"    }\n}\n")
+    return path
+
+
+def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
+    """Yield the object entries of each cousin's document."""
+    with Reader() as reader:
+        for place in ledger.counted():
+            candidate = reader.candidate(place) if place.accepted else Candidate(0)
+            if "scene" in candidate.documents:
+                yield candidate.index, parse(candidate.documents["scene"]).data.get("objects", {})
+
+
+def _variant(asset: str) -> str:
+    return Path(asset).name.split(".")[0]
+
+
+def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
+    """Lower the twin's scene with all objects that cousins add, and with replacements as variants."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.load import load
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.spec.yaml.tree import plain_tree
+    from simfoundry.spec.yaml.write import write_tree
+
+    data: dict[str, Any] = {
+        "simfoundry": "scene/1",
+        "extends": relative(recipe.scene.path, plan.out),
+        "name": recipe.spec.name,
+        "objects": {name: dict(item) for name, item in added.items()}
+        | {name: {"variants": {key: {"asset": ref} for key, ref in of.items()}} for name, of in others.items()},
+    }
+    text = write_tree(plain_tree(data), SceneSpec)
+    loaded = load(plan.out / "whole.scene.yaml", text=text)
+    return lower(loaded, Cache.default())
+
+
+def _build(whole: Any, path: Path) -> None:
+    from simfoundry.targets.build import build
+
+    build(whole, ("usd",), path.with_suffix(""))
+
+
+def _head(path: Path) -> str:
+    return _HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
+
+
+def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:
+    """Format one variant of the set."""
+    lines = [f'        "{name}" {{', '            over "Objects"', "            {"]
+    lines += [f'                over "{other}" (active = false) {{}}' for other in added if other not in objects]
+    for thing, data in objects.items():
+        chosen = _variant(data["asset"]) if "asset" in data and thing not in added else ""
+        choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
+        X_WO = pose(PoseSpec(**data["pose"])) if "pose" in data else home[thing]
+        lines += [f'                over "{thing}"{choice}', "                {", *_placed(X_WO), "                }"]
+    return "\n".join([*lines, "            }", "        }", ""])
+
+
+def _placed(X_WO: Pose) -> Iterator[str]:
+    pad = " " * 20
+    xyz, quaternion = (", ".join(number(float(v)) for v in values) for values in (X_WO.p, X_WO.q))
+    yield f"{pad}quatd xformOp:orient = ({quaternion})"
+    yield f"{pad}double3 xformOp:translate = ({xyz})"
+    yield f'{pad}uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]'

@@ -1,26 +1,152 @@
-"""The state of a run and its end, which depend only on the candidates themselves.
+"""The log and the state of a run, and its end, which depend only on the candidates themselves.
 
 Cousins are the first N accepted candidates by index. Candidates beyond the last of them, or examined out of order,
 change nothing, so the result does not depend on workers, their order, kills or shards.
+
+The log is append-only: a kill at any moment loses at most one line. ``OUT/.cousins/log.jsonl`` belongs to complete
+runs, ``log-2-of-4.jsonl`` to a shard. Each line is flushed to disk before the next is written; a torn line is ignored,
+and truncated before anything is appended.
 """
 
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simfoundry.cousins.objects.swap import VariantCount
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.run.log import WORK, Log, LogEntry, Reader, log_file, logs, read_places, replace_logs
 from simfoundry.cousins.run.worker_pools import CandidatePool
 from simfoundry.errors import OutputError
-from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.files import write_atomically, writing_atomically
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.recipe.variant_pool import VariantCount
+
+WORK = ".cousins"
+"""Folder of a run's internal files below its output."""
+
+WHOLE = "log.jsonl"
+
+
+class LogEntry(NamedTuple):
+    """The position of a candidate's line in a log, and whether the candidate is accepted."""
+
+    file: Path
+    start: int
+    length: int
+    accepted: bool
+
+
+def log_file(out: Path, shard: tuple[int, int] | None) -> Path:
+    """Return the log file of a run, or of its shard (i, n)."""
+    return out / WORK / (WHOLE if shard is None else f"log-{shard[0]}-of-{shard[1]}.jsonl")
+
+
+def logs(out: Path) -> list[Path]:
+    """Return every log of a folder of cousins, starting with that of the complete run."""
+    return sorted((out / WORK).glob("log*.jsonl"), key=lambda path: (path.name != WHOLE, path.name))
+
+
+def read_places(file: Path) -> dict[int, LogEntry]:
+    """Index the complete lines of a log by candidate; raises :class:`OutputError` if the file is not a log."""
+    found: dict[int, LogEntry] = {}
+    if not file.is_file():
+        return found
+    with file.open("rb") as stream:
+        start = 0
+        for number, line in enumerate(stream, 1):
+            if not line.endswith(b"\n"):
+                break  # torn by a kill
+            try:
+                index = int(json.loads(line)["index"])
+            except (ValueError, KeyError, TypeError):
+                raise OutputError(
+                    f"{file}:{number} is not a line of a log of cousins; move the file away to have its candidates "
+                    "examined again"
+                ) from None
+            found[index] = LogEntry(file, start, len(line), b'"reasons":' not in line[:40])
+            start += len(line)
+    return found
+
+
+class Reader(ExitStack):
+    """Reader of candidates at known positions; files stay open between reads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._open: dict[Path, int] = {}
+
+    def line(self, place: LogEntry) -> bytes:
+        """Read the line at a position."""
+        if place.file not in self._open:
+            self._open[place.file] = self.enter_context(place.file.open("rb")).fileno()
+        return os.pread(self._open[place.file], place.length, place.start)
+
+    def candidate(self, place: LogEntry) -> Candidate:
+        """Read the candidate at a position."""
+        return Candidate.of(self.line(place))
+
+
+class Log(ExitStack):
+    """An append-only log with a single writer process; its lock is released when it is closed."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.file = file
+        file.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = self.enter_context(file.open("ab"))
+        _lock(self._stream.fileno(), file)
+        with file.open("rb") as stream:
+            end = sum(len(line) for line in stream if line.endswith(b"\n"))  # a torn line is cut off
+        self._stream.truncate(end)
+        self._stream.seek(end)
+
+    def add(self, candidate: Candidate) -> LogEntry:
+        """Append a candidate durably so that it survives a machine crash."""
+        line = candidate.line().encode() + b"\n"
+        start = self._stream.tell()
+        self._stream.write(line)
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        return LogEntry(self.file, start, len(line), candidate.accepted)
+
+
+def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int, LogEntry]:
+    """Replace all logs by a single one with the lines at ``places``, by index and in their order.
+
+    Return the new positions.
+    """
+    old, now = logs(out), dict[int, LogEntry]()
+    whole, start = out / WORK / WHOLE, 0
+    with Reader() as reader, writing_atomically(whole) as stream:
+        for index, place in places:
+            stream.write(reader.line(place))
+            now[index] = LogEntry(whole, start, place.length, place.accepted)
+            start += place.length
+    for file in old:
+        if file != whole:
+            file.unlink(missing_ok=True)
+    return now
+
+
+def _lock(handle: int, file: Path) -> None:
+    """Lock the file until it is closed; does nothing on file systems without locks."""
+    with suppress(ImportError, OSError):
+        import fcntl
+
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"another run writes to {file.parent.parent} at the moment; wait for it to end, or stop it"
+            ) from None
+
 
 PATIENCE = 200
 """Number of candidates examined before a recipe may count as too hard."""
@@ -119,7 +245,9 @@ class Ledger:
 
 
 AHEAD = 32
-"""Number of candidates per worker that may be examined ahead of the first unknown one."""
+"""Number of candidates per worker that may be examined ahead of the first unknown one, which limits memory
+and wasted work.
+"""
 
 MANIFEST = "manifest.json"
 """File of the final report of a run, in its folder."""
@@ -157,7 +285,10 @@ def begin(plan: RunPlan) -> None:
     """
     path = plan.out / WORK / "run.json"
     if path.is_file():
-        found = _read(path)
+        try:
+            found = dict(json.loads(path.read_text(encoding="utf-8")))
+        except (ValueError, TypeError):
+            raise OutputError(f"{path} is damaged; remove it to continue the run from its logs") from None
         for key, value in plan.about.items():
             if found.get(key) != value:
                 differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
@@ -174,23 +305,21 @@ def begin(plan: RunPlan) -> None:
     write_atomically(path, (json.dumps(plan.about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError):
-        raise OutputError(f"{path} is damaged; remove it to continue the run from its logs") from None
-
-
 def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
     """Examine candidates until the plan is met or cannot be; candidates in the logs are not examined again."""
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
-        if plan.shard is None:
-            _clear_half_written(plan.out)
+        if plan.shard is None:  # documents and manifests of killed runs; the log's lock excludes other runs
+            for left in (*plan.out.glob(".[0-9]*.yaml.*"), *plan.out.glob(f".{MANIFEST}.*")):
+                left.unlink(missing_ok=True)
         ledger = plan.ledger()
         for file in logs(plan.out):
             ledger.known.update(read_places(file))
-        settled = _nothing if plan.shard is not None else lambda candidate: write_documents(plan.out, candidate)
+
+        def settled(candidate: Candidate) -> None:
+            if plan.shard is None:  # a shard does not know which of its candidates will count
+                write_documents(plan.out, candidate)
+
         ledger.advance(reader, settled)
         heard(ledger)
         if ledger.end is not RunEnd.OPEN:
@@ -202,15 +331,6 @@ def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda 
                 ledger.advance(reader, settled)
                 heard(ledger)
     return ledger
-
-
-def _clear_half_written(out: Path) -> None:
-    """Remove partly written documents and manifests of killed runs. The log's lock ensures that no other run writes
-    them.
-    """
-    for pattern in (".[0-9]*.yaml.*", f".{MANIFEST}.*"):
-        for left in out.glob(pattern):
-            left.unlink(missing_ok=True)
 
 
 def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
@@ -226,23 +346,14 @@ def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
     """Yield newly examined candidates as they finish; keep the pool busy until the ledger reaches its end."""
     todo, running = ledger.unknown(), 0
-    index = next(todo, None)
+    index, ahead = next(todo, None), AHEAD * ledger.step * pool.size
     while ledger.end is RunEnd.OPEN:
-        while index is not None and running < 2 * pool.size and _is_near(index, ledger, pool):
+        while index is not None and running < 2 * pool.size and index - ledger.next_index < ahead:
             pool.submit(index)
             running += 1
             index = next(todo, None)
         yield pool.next()
         running -= 1
-
-
-def _is_near(index: int, ledger: Ledger, pool: CandidatePool) -> bool:
-    """Return whether a candidate is close enough to the counted ones; this limits memory and wasted work."""
-    return index - ledger.next_index < AHEAD * ledger.step * pool.size
-
-
-def _nothing(candidate: Candidate) -> None:
-    """Write nothing: a shard does not know which of its candidates will count."""
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:

@@ -126,7 +126,7 @@ class RayPool:
         try:
             return Candidate.of(self._ray.get(done[0]))
         except self._ray.exceptions.RayError as error:
-            return failed(index, f"broke ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
+            return failed(index, f"failed ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
 
     def close(self) -> None:
         """End the actors, and the cluster if it was started here."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.candidate_poses import branches, levels, meaning, objects_of
-from simfoundry.cousins.tasks.context import TaskContext, numbers
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
@@ -81,7 +81,7 @@ def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
         text = f"a goal must have 1 to {MOST_PREDICATES} predicates, but this one has {len(every)}"
-        return (Reason("bad_goal", text, numbers(predicates=len(every))),)
+        return (Reason("bad_goal", text, {"predicates": len(every)}),)
     for text in every:
         try:
             call = parse_call(text)
@@ -129,7 +129,7 @@ def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     except PredicateError as error:
         return (Reason("impossible", str(error)),)
     if verdict.value:
-        return (Reason("already_true", f"it is true at the start: {verdict.why}", numbers(margin=verdict.margin)),)
+        return (Reason("already_true", f"it is true at the start: {verdict.why}", {"margin": verdict.margin}),)
     if not any(call.predicate != "Released" for way in branches(goal) for call in way):
         return (Reason("no_change", "it only requires conditions to be false, and none to become true"),)
     return ()

@@ -5,10 +5,9 @@ above, or, if it is covered, from an open side.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -216,7 +215,7 @@ class TaskContext:
         mass = sum(link.mass for link in item.links)
         if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
             text = f"`{name}` weighs {mass:.2f} kg, but the robot lifts {most:g} kg"
-            found.append(Reason("too_heavy", text, numbers(mass_kg=mass, payload_kg=most)))
+            found.append(Reason("too_heavy", text, {"mass_kg": mass, "payload_kg": most}))
         drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
         # Objects in a drawer are taken out after it is opened, so obstacles above them now do not count.
         return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
@@ -253,7 +252,7 @@ class TaskContext:
             return ()
         narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped"
         text = f"`{name}` {narrow}, but the fingers open {length(widest)}"
-        return (Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)),)
+        return (Reason("too_wide", text, {"width_m": min(width, 1e3), "opening_m": widest}),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
         """Return the reasons why no hand can reach an object between two corners in the world [m].
@@ -266,7 +265,7 @@ class TaskContext:
         if solved.checked and not solved.reached:
             comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
             text = f"no arm can get {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
-            return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
+            return (Reason("out_of_reach", text, {"away_m": solved.away}),)
         return ()
 
     def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
@@ -276,9 +275,4 @@ class TaskContext:
         if miss is None:
             return ()
         text = f"`{name}` is {miss.distance:.2f} m from `{miss.hand.name}`, which reaches {miss.reach:g} m"
-        return (Reason("out_of_reach", text, numbers(away_m=miss.distance, reach_m=miss.reach)),)
-
-
-def numbers(**values: float) -> Mapping[str, float]:
-    """Return the numbers of a reason as a mapping."""
-    return MappingProxyType({name: float(value) for name, value in values.items()})
+        return (Reason("out_of_reach", text, {"away_m": miss.distance, "reach_m": miss.reach}),)

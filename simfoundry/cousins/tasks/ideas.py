@@ -13,7 +13,7 @@ from simfoundry.cousins.layout.supports import Support, supports_of
 from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, objects_of
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
-from simfoundry.scene.touching import weld_groups
+from simfoundry.scene.kinematics import weld_groups
 from simfoundry.spec.models.expressions import Call, parts
 
 TOGETHER = 3

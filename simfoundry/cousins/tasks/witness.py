@@ -16,7 +16,7 @@ import numpy as np
 
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.candidate_poses import branches, cavity_words, levels, objects_of, places, spots, turns
-from simfoundry.cousins.tasks.context import TaskContext, numbers
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import PredicateError, Verdict
@@ -102,7 +102,7 @@ def _made(setting: TaskContext, goal: Any, way: list[Call]) -> Witness | tuple[R
     if not any(call.predicate in HELD for call in way):
         verdict = setting.twin.judge(goal, attempt.state)
         if not verdict.value:
-            return (Reason("impossible", f"it cannot all be true at once: {verdict.why}", numbers(m=verdict.margin)),)
+            return (Reason("impossible", f"it cannot all be true at once: {verdict.why}", {"m": verdict.margin}),)
         if gone := lost(setting, goal, attempt.state):
             return (Reason("fleeting", f"it does not last: {gone}"),)
     return Witness(attempt.state, tuple(attempt.opened))
@@ -157,7 +157,7 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
     verdict = setting.twin.judge(str(call), attempt.state)
     if not verdict.value:
         text = f"{call} does not last: {verdict.why}"
-        return (Reason("impossible", text, numbers(margin=verdict.margin)),)
+        return (Reason("impossible", text, {"margin": verdict.margin}),)
     return ()
 
 
@@ -334,4 +334,4 @@ def _cannot(setting: TaskContext, name: str, calls: list[Call], tried: _Tried) -
     text = f"{asked} does not become true in {tried.puts} placements of `{name}` ({size} cm)"
     text += cavity_words(setting, calls[0].args[1]) if calls[0].predicate == "Inside" else ""
     margin = {"margin": float(tried.best)} if np.isfinite(tried.best) else {}
-    return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, numbers(tries=tried.puts, **margin))
+    return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, {"tries": tried.puts, **margin})

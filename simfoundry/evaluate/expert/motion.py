@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import Jaws, finger_positions
+from simfoundry.robots.arm import Arm, Jaws, finger_positions
+from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
@@ -91,17 +90,14 @@ class ArmPlanner:
             path.append(between)
         return path
 
-    def way(
-        self, q: Array, goal: Array, share: float, held: Held | None = None, ignore: Iterable[str] = ()
-    ) -> Path | None:
+    def way(self, q: Array, goal: Array, share: float, held: Held | None = None) -> Path | None:
         """Postures from ``q`` to ``goal`` around obstacles, with the preferred clearance if possible; None if there is
         no path.
         """
-        ignored = tuple(ignore)
         for gap in (WIDE, GAP):
 
             def free(posture: Array, gap: float = gap) -> bool:
-                return self.clear(posture, share, held, gap, ignored)
+                return self.clear(posture, share, held, gap)
 
             if not free(goal):
                 continue
@@ -123,59 +119,66 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
     return Pose.of(a.p + share * (b.p - a.p), q)
 
 
-def _straight(a: Array, b: Array, free: object) -> bool:
+Free = Callable[[Array], bool]
+"""Returns whether a posture is free of collisions."""
+
+
+def _straight(a: Array, b: Array, free: Free) -> bool:
     """Return whether every posture between two is free; the first is assumed to be."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
-    return all(free(a + (b - a) * k / count) for k in range(1, count + 1))  # type: ignore[operator]
+    return all(free(a + (b - a) * k / count) for k in range(1, count + 1))
 
 
-def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
+class _Tree:
+    """A tree of postures that are connected by free lines."""
+
+    def __init__(self, root: Array) -> None:
+        self.postures, self._parents = [root], [-1]
+
+    def extend(self, toward: Array, free: Free) -> int | None:
+        """Grow by one step; return the index of the new posture."""
+        distance = np.abs(np.array(self.postures) - toward).max(axis=1)
+        nearest = int(distance.argmin())
+        if distance[nearest] < 1e-9:
+            return None
+        start = self.postures[nearest]
+        step = start + (toward - start) * min(1.0, STRIDE / distance[nearest])
+        if not _straight(start, step, free):
+            return None
+        self.postures.append(step)
+        self._parents.append(nearest)
+        return len(self.postures) - 1
+
+    def path(self, k: int) -> Path:
+        """Postures from the k-th one to the root."""
+        found = []
+        while k >= 0:
+            found.append(self.postures[k])
+            k = self._parents[k]
+        return found
+
+
+def _search(start: Array, goal: Array, free: Free, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
     """Search with rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
-    trees = ([start], [goal])
-    parents: tuple[list[int], list[int]] = ([-1], [-1])
-    side = 0
-    for _ in range(NODES):
+    trees = (_Tree(start), _Tree(goal))
+    for k in range(NODES):
+        side = k % 2
+        tree, other = trees[side], trees[1 - side]
         # Sample between the two ends more often than elsewhere: most paths lead through there.
         mix = rng.uniform(size=len(start))
         near = start + mix * (goal - start) + rng.normal(scale=0.5, size=len(start))
         sample = np.clip(near, low, high) if rng.uniform() < 0.8 else rng.uniform(low, high)
-        new = _extend(trees[side], parents[side], sample, free)
-        if new is not None:
-            other = 1 - side
-            while True:
-                step = _extend(trees[other], parents[other], trees[side][new], free)
-                if step is None:
-                    break
-                if np.abs(trees[other][step] - trees[side][new]).max() < 1e-9:
-                    ends = [_back(trees[0], parents[0], new if side == 0 else step)[::-1]]
-                    return ends[0] + _back(trees[1], parents[1], step if side == 0 else new)[1:]
-        side = 1 - side
+        new = tree.extend(sample, free)
+        if new is None:
+            continue
+        while (step := other.extend(tree.postures[new], free)) is not None:
+            if np.abs(other.postures[step] - tree.postures[new]).max() < 1e-9:
+                first, last = (new, step) if side == 0 else (step, new)
+                return trees[0].path(first)[::-1] + trees[1].path(last)[1:]
     return None
 
 
-def _extend(tree: list[Array], parent: list[int], towards: Array, free: object) -> int | None:
-    """Grow a tree by one step; return the index of the new posture."""
-    distance = np.abs(np.array(tree) - towards).max(axis=1)
-    nearest = int(distance.argmin())
-    if distance[nearest] < 1e-9:
-        return None
-    step = tree[nearest] + (towards - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
-    if not _straight(tree[nearest], step, free):
-        return None
-    tree.append(step)
-    parent.append(nearest)
-    return len(tree) - 1
-
-
-def _back(tree: list[Array], parent: list[int], k: int) -> Path:
-    found = []
-    while k >= 0:
-        found.append(tree[k])
-        k = parent[k]
-    return found
-
-
-def _shortened(path: Path, free: object, rng: np.random.Generator) -> Path:
+def _shortened(path: Path, free: Free, rng: np.random.Generator) -> Path:
     """Return a path without unnecessary detours."""
     for _ in range(40):
         if len(path) < 3:
@@ -210,16 +213,11 @@ class PlanningScene:
         model.pair_margin[:] = FAR
         self._hands = {r.name: self._hand(r.name) for r in scene.robots if mujoco_model(r) is not None}
         self._hand_geoms = {name: {int(g) for g in hand[1]} for name, hand in self._hands.items()}
-        self._own: set[tuple[int, int]] = set()
-        self._own = self._touching_itself()
-
-    def _touching_itself(self) -> set[tuple[int, int]]:
-        """Pairs of geoms of one robot that are close at the start, such as neighboring links."""
         self._world.reset()
         self._collide()
-        contacts = self._data.contact[: self._data.ncon]
-        pairs = (tuple(sorted(int(g) for g in c.geom)) for c in contacts)
-        return {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
+        pairs = (sorted(int(g) for g in c.geom) for c in self._data.contact[: self._data.ncon])
+        # Geoms of one robot that are close at the start, such as neighboring links.
+        self._own = {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
 
     def sync(self, state: SceneState, postures: Mapping[str, Array], grippers: Mapping[str, float]) -> None:
         """Set the scene to a state, with the arm and gripper positions of each robot."""
@@ -232,14 +230,11 @@ class PlanningScene:
         native = mujoco_model(self.scene.robot(robot))
         assert native is not None
         names = list(native.joints.values()) or list(self._world.robot(robot).joints)
-        for name, position in zip(names, q, strict=True):
-            self._set(f"{robot}.{name}", position)
+        positions = dict(zip(names, q, strict=True))
         if native.gripper is not None:
-            for name, position in finger_positions(native.gripper, share).items():
-                self._set(f"{robot}.{name}", position)
-
-    def _set(self, joint: str, position: float) -> None:
-        self._data.qpos[self._model.joint(joint).qposadr[0]] = position
+            positions |= finger_positions(native.gripper, share)
+        for name, position in positions.items():
+            self._data.qpos[self._model.joint(f"{robot}.{name}").qposadr[0]] = position
 
     def put(self, name: str, X_WO: Pose) -> None:
         """Set the pose of an object."""

@@ -6,16 +6,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 
-from simfoundry.evaluate.expert.handling import pick, put
-from simfoundry.evaluate.expert.joints import lead
-from simfoundry.evaluate.expert.places import PlaceAt, places
+from simfoundry.evaluate.expert.candidates import PlaceAt, places
+from simfoundry.evaluate.expert.skills import lead, pick, put
 from simfoundry.evaluate.expert.worker import ExpertWorker, FailedError, Script
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
-from simfoundry.evaluate.tasks.task import Task
+from simfoundry.evaluate.policies.base import ActionSpace, Observation, Policy
+from simfoundry.evaluate.task import SubtaskGoal, Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra
@@ -56,16 +54,7 @@ class ExpertStep:
     until: str
 
 
-class HasGoal(Protocol):
-    """A sub-task, reduced to its goal."""
-
-    @property
-    def goal(self) -> Condition:
-        """Condition under which the sub-task is done."""
-        ...
-
-
-def steps(goal: Condition, subtasks: Mapping[str, HasGoal]) -> tuple[ExpertStep, ...]:
+def steps(goal: Condition, subtasks: Mapping[str, SubtaskGoal]) -> tuple[ExpertStep, ...]:
     """Return the steps in order: those of each sub-task, then those for the remaining goal."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
@@ -107,8 +96,14 @@ PAUSE = 1.0
 """Waiting time after a failure before the next observation [s]."""
 
 
-class ExpertPolicy:
-    """A scripted :class:`~simfoundry.evaluate.policies.base.Policy`. It needs MuJoCo and mink for planning."""
+class ExpertPolicy(Policy):
+    """A scripted policy. It needs MuJoCo and mink for planning.
+
+    It uses the true state and no camera.
+    """
+
+    name = "expert"
+    action_space = ActionSpace.JOINT_POSITION
 
     def __init__(self, task: Task, judge: Judge | None = None) -> None:
         need_extra("expert", "the scripted expert")
@@ -117,21 +112,6 @@ class ExpertPolicy:
         self._worker = ExpertWorker(task.scene, task.robots, task.control_hz)
         self._script: Script | None = None
         self.log: list[str] = []
-
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-        return "expert"
-
-    @property
-    def action_space(self) -> ActionSpace:
-        """Meaning of the arm's numbers."""
-        return ActionSpace.JOINT_POSITION
-
-    @property
-    def cameras(self) -> Mapping[str, ImageSize]:
-        """Return an empty mapping: the expert uses the true state."""
-        return MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
         """Start a rollout."""
@@ -149,9 +129,6 @@ class ExpertPolicy:
             next(self._script)
             rows.append(self._worker.command())
         return np.array(rows)
-
-    def close(self) -> None:
-        """Do nothing: there are no resources to release."""
 
     def _work(self) -> Script:
         """Run every step of the task, then those for unmet parts of the goal, then hold still."""

@@ -11,8 +11,7 @@ from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
 from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path, PlanningScene
 from simfoundry.evaluate.policies.base import Observation
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm
-from simfoundry.robots.fingers import jaws
+from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 
 JOINT, HAND = 1.1, 0.35
@@ -88,8 +87,7 @@ class ExpertWorker:
         self.scene, self.hz = scene, hz
         self.cell = PlanningScene(scene)
         self.arms = {name: Arm(scene.robot(name)) for name in robots}
-        self._robots = tuple(robots)
-        self.seen: Observation | None = None
+        self.now: Observation
         self.begin(0)
 
     def begin(self, seed: int) -> None:
@@ -102,21 +100,15 @@ class ExpertWorker:
                 raise RobotModelError(f"robot `{name}` has no gripper whose fingers close along the y of its hand")
             self.planners[name] = ArmPlanner(self.cell, arm, fingers, self.rng)
         self.q: dict[str, Array] = {}
-        self.share = dict.fromkeys(self._robots, 0.0)
+        self.share = dict.fromkeys(self.arms, 0.0)
         self.held: dict[str, Held] = {}
         self._bias = {name: np.zeros(len(arm.joints)) for name, arm in self.arms.items()}
         self._before: dict[str, Array] = {}
 
-    @property
-    def now(self) -> Observation:
-        """Latest observation."""
-        assert self.seen is not None
-        return self.seen
-
     def look(self, observation: Observation) -> None:
         """Store an observation; for an arm at rest, update the sag compensation."""
-        self.seen = observation
-        for name in self._robots:
+        self.now = observation
+        for name in self.arms:
             measured = observation.robots[name].joints
             self.q.setdefault(name, np.array(measured))
             before = self._before.get(name)
@@ -127,18 +119,24 @@ class ExpertWorker:
 
     def command(self) -> Array:
         """Action of the present step."""
-        parts = [np.append(self.q[name] + self._bias[name], self.share[name]) for name in self._robots]
+        parts = [np.append(self.q[name] + self._bias[name], self.share[name]) for name in self.arms]
         return np.concatenate(parts)
 
     def sync(self) -> None:
         """Set the planning model to the present state."""
-        grippers = {name: self.now.robots[name].gripper for name in self._robots}
+        grippers = {name: self.now.robots[name].gripper for name in self.arms}
         self.cell.sync(self.now.state, self.q, grippers)
 
     def go(self, robot: str, path: Path) -> Script:
-        """Follow a path through free space: at full speed if straight, slower around corners."""
+        """Follow a path through free space, at full speed if straight, slower around corners, and settle."""
         share = 1.0 if len(path) <= 2 else AROUND
-        return self.follow(robot, path, share * HAND, share * JOINT)
+        yield from self.follow(robot, path, share * HAND, share * JOINT)
+        yield from self.settle(robot)
+
+    def creep(self, robot: str, path: Path) -> Script:
+        """Follow a path near objects, and settle."""
+        yield from self.follow(robot, path, CAREFUL)
+        yield from self.settle(robot)
 
     def follow(self, robot: str, path: Path, speed: float = HAND, joint: float = JOINT) -> Script:
         """Follow a path no faster than ``speed`` [m/s] of the hand and ``joint`` [rad/s]."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.evaluate.policies.missing import needed
+from simfoundry.evaluate.policies.remote import needed
 from simfoundry.evaluate.policies.serve import Infer, serve
 from simfoundry.runtime.extras import install_line
 

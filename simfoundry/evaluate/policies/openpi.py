@@ -1,12 +1,19 @@
-"""Policies of openpi, and of any server with its protocol (``openpi_client.websocket_client_policy``, 0.1.2)."""
+"""Policies of openpi (``openpi_client.websocket_client_policy``, 0.1.2), and of RoboArena and DreamZero.
+
+RoboArena and DreamZero use openpi's messages with an ``endpoint`` and a server-side rollout state. Their server first
+sends its configuration (``PolicyServerConfig`` of ``roboarena/policy_server.py``), which is checked against the
+policy's document. Note that they number cameras from 0, openpi from 1.
+"""
 
 from __future__ import annotations
 
+import uuid
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
+from typing import Any
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation
-from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, state
-from simfoundry.evaluate.policies.remote import RemotePolicy
+from simfoundry.evaluate.policies.remote import RemotePolicy, droid_cameras, pictures, state
 from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
@@ -17,8 +24,11 @@ DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observa
 class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
-    Queries are independent, so after a lost connection the client reconnects and repeats the query.
+    Queries are independent, so after a lost connection the client reconnects and repeats the query. ``state_keys`` are
+    the keys of the robot's state unless its document states them.
     """
+
+    state_keys: Mapping[str, str] = DROID_STATE
 
     def __init__(self, spec: PolicySpec) -> None:
         super().__init__(spec)
@@ -30,21 +40,23 @@ class OpenpiPolicy(RemotePolicy):
 
     def ask(self, observation: Observation) -> object:
         """Return the ``actions`` of the answer."""
-        seen = pictures(self.spec, observation)
-        told = state(self.spec, DROID_STATE, observation)
-        answer = self._connection.ask({**seen, **told, "prompt": self._instruction})
+        answer = self._connection.ask(self._message(observation))
         if not isinstance(answer, dict) or "actions" not in answer:
             keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
             message = f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}"
             raise self._connection.fail(message, InvalidAnswerError)
         return answer["actions"]
 
+    def _message(self, observation: Observation) -> dict[str, Any]:
+        seen, told = pictures(self.spec, observation), state(self.spec, self.state_keys, observation)
+        return {**seen, **told, "prompt": self._instruction}
+
     def close(self) -> None:
         """Hang up."""
         self._connection.close()
 
 
-PROTOCOL = PolicyProtocol(
+OPENPI = PolicyProtocol(
     open=OpenpiPolicy,
     schemes=("ws", "wss"),
     port=8000,
@@ -53,6 +65,84 @@ PROTOCOL = PolicyProtocol(
             {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"},
             size=(224, 224),
             render=(448, 252),
+        )
+    },
+)
+
+
+RESET_DONE = "reset successful"
+"""Text by which a server confirms that it has reset its rollout state."""
+
+
+class RoboarenaPolicy(OpenpiPolicy):
+    """A client of RoboArena's ``WebsocketPolicyServer``, also used by DreamZero.
+
+    The server keeps a state during a rollout, so a rollout whose connection is lost has no result and counts as
+    missing; the next one connects again. ``new_session`` creates a name for each rollout: the server resets its state
+    for each new name.
+    """
+
+    state_keys = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
+
+    def __init__(self, spec: PolicySpec, new_session: Callable[[], object] = uuid.uuid4) -> None:
+        super().__init__(spec)
+        self._new_session, self._session = new_session, ""
+
+    def begin(self) -> None:
+        """Connect, check the server's configuration against the document, and reset the server's rollout state."""
+        self._connection.begin()
+        wrong = next(disagreements(self.spec, self._connection.greeting), None)
+        if wrong is not None:
+            self.close()
+            both = f"{self._connection.uri} and the document of {self.spec.name}"
+            raise self._connection.fail(f"{both} disagree: {wrong}")
+        self._session = str(self._new_session())
+        self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
+
+    def ask(self, observation: Observation) -> object:
+        """Return the answer, or its ``actions`` entry: servers use either form."""
+        about = {"session_id": self._session, "endpoint": "infer"}
+        answer = self._connection.ask(self._message(observation) | about, again=False)
+        return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
+
+
+def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each difference between the server's configuration and the document."""
+    space = wishes.get("action_space")
+    if isinstance(space, str) and space != spec.action_space:
+        yield f"it acts by `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
+    for key in _wanted_cameras(wishes):
+        if key not in spec.cameras:
+            yield f"it needs the image `{key}`, which is missing in `cameras`"
+    wanted = wishes.get("image_resolution")
+    if isinstance(wanted, list | tuple) and len(wanted) == 2:
+        for key, view in spec.cameras.items():
+            if list(view.size) != [wanted[1], wanted[0]]:
+                yield f"it needs images of {wanted[1]} × {wanted[0]}, but `{key}` has `size: {list(view.size)}`"
+
+
+def _wanted_cameras(wishes: Mapping[str, Any]) -> Iterator[str]:
+    external = wishes.get("n_external_cameras")
+    sides = ("left", "right") if wishes.get("needs_stereo_camera") is True else ("left",)
+    for k in range(min(external, 2) if isinstance(external, int) else 0):
+        yield from (f"observation/exterior_image_{k}_{side}" for side in sides)
+    if wishes.get("needs_wrist_camera") is True:
+        yield from (f"observation/wrist_image_{side}" for side in sides)
+
+
+ROBOARENA = PolicyProtocol(
+    open=RoboarenaPolicy,
+    schemes=("ws", "wss"),
+    port=8000,
+    short_form={
+        "cameras": droid_cameras(
+            {
+                "observation/exterior_image_0_left": "exterior",
+                "observation/exterior_image_1_left": "exterior_2",
+                "observation/wrist_image_left": "wrist",
+            },
+            size=(320, 180),
+            render=(320, 180),
         )
     },
 )

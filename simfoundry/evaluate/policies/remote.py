@@ -1,42 +1,286 @@
-"""Base class of policies behind servers: name, cameras, and validation of answers."""
+"""Policies behind servers: their observations, the validation of their answers, and statistics of the exchange."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib
+import os
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from types import ModuleType
+from typing import Any, ClassVar
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
-from simfoundry.evaluate.policies.chunk import actions_of
-from simfoundry.evaluate.policies.observation_keys import cameras_of
-from simfoundry.evaluate.policies.record import PolicyRecord
-from simfoundry.geometry.frames import Array
-from simfoundry.spec.models.policy import PolicySpec
+import numpy as np
+
+from simfoundry.evaluate.policies.base import (
+    ActionSpace,
+    Image,
+    ImageSize,
+    InvalidAnswerError,
+    Observation,
+    Policy,
+    PolicyError,
+    RobotReading,
+    checked_actions,
+)
+from simfoundry.evaluate.policies.codec import Codec, CodecError
+from simfoundry.geometry.frames import Array, rpy_from_quat
+from simfoundry.runtime.extras import install_line
+from simfoundry.spec.models.policy import GripperConvention, PolicySpec, address_uri
 
 
-class RemotePolicy:
+def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
+    """Import an optional module; raises :class:`PolicyError` with the install command if it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        absent = getattr(error, "name", None) or module
+        raise PolicyError(f"{what} needs the package `{absent.partition('.')[0]}`; {install}") from None
+
+
+KEPT = 100
+"""Maximum number of error messages kept; further ones are only counted, to keep reports short."""
+
+
+@dataclass
+class PolicyRecord:
+    """Counts, times and errors of the queries to a policy, accumulated over rollouts.
+
+    ``seconds`` are the times [s] from each query to its answer, including reconnections and repeated queries.
+    """
+
+    questions: int = 0
+    connections: int = 0
+    reconnects: int = 0
+    failures: int = 0
+    errors: list[str] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def failed(self, sentence: str) -> None:
+        """Record an error."""
+        self.failures += 1
+        if len(self.errors) < KEPT:
+            self.errors.append(sentence)
+
+    def to_json(self) -> Mapping[str, Any]:
+        """Return numbers and messages for a report; times as median and maximum [s]."""
+        ordered = sorted(self.seconds)
+        counts = {key: value for key, value in asdict(self).items() if key != "seconds"}
+        return counts | {
+            "median_s": ordered[len(ordered) // 2] if ordered else None,
+            "longest_s": ordered[-1] if ordered else None,
+        }
+
+
+def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
+    """Return the scene's cameras that a policy uses, with the size at which each is rendered.
+
+    If two keys show one camera in two sizes, the larger is rendered.
+    """
+    found: dict[str, ImageSize] = {}
+    for view in spec.cameras.values():
+        size = ImageSize(*(view.render or view.size))
+        known = found.get(view.camera)
+        if known is None or known.width * known.height < size.width * size.height:
+            found[view.camera] = size
+    return found
+
+
+def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
+    """Return each image under the policy's key; raises :class:`PolicyError` if a camera's image is missing."""
+    found: dict[str, Image] = {}
+    for key, view in spec.cameras.items():
+        image = observation.images.get(view.camera)
+        if image is None:
+            known = ", ".join(f"`{name}`" for name in observation.images) or "none"
+            message = f"there is no image of the camera `{view.camera}`, which {spec.name} needs as `{key}`"
+            raise PolicyError(f"{message}; there are: {known}")
+        found[key] = resize_with_pad(image, ImageSize(*view.size))
+    return found
+
+
+def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
+    """Return one sensor quantity of all robots in order as an array; see ``state`` of a policy document."""
+    rows: list[Any] = [np.zeros(0)]
+    for robot in robots.values():
+        closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
+        known = {
+            "joints": robot.joints,
+            "gripper": [closed],
+            "joints_gripper": [*robot.joints, closed],
+            "hand": [*robot.X_BH.p, *rpy_from_quat(robot.X_BH.q)],
+        }
+        rows.append(known[what])
+    return np.concatenate(rows)
+
+
+def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
+    """Return the robots' state under the policy's keys, float32 as in DROID's recordings."""
+    wanted = default if spec.state is None else spec.state
+    return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
+
+
+DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
+"""Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by the short form of a policy."""
+
+
+def droid_cameras(
+    keys: Mapping[str, str], size: tuple[int, int], render: tuple[int, int]
+) -> dict[str, dict[str, object]]:
+    """Return the camera views used by DROID's policies; ``keys`` are their names in a protocol."""
+    return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in keys.items()}
+
+
+def resize_with_pad(image: Image, size: ImageSize) -> Image:
+    """Fit an image, shape (h, w, 3), into ``size``, centered on black, shape (size.height, size.width, 3).
+
+    Bilinear with Pillow's filter, which averages when it shrinks; sides are rounded down. Gives the same pixels as
+    ``openpi_client.image_tools.resize_with_pad``, on which the policies were trained.
+    """
+    height, width = image.shape[:2]
+    if (height, width) == (size.height, size.width):
+        return image
+    from PIL import Image as Pictures
+
+    ratio = max(width / size.width, height / size.height)
+    inner = max(1, int(width / ratio)), max(1, int(height / ratio))
+    small = np.asarray(Pictures.fromarray(np.ascontiguousarray(image)).resize(inner, Pictures.Resampling.BILINEAR))
+    top, left = (size.height - inner[1]) // 2, (size.width - inner[0]) // 2
+    out = np.zeros((size.height, size.width, 3), dtype=np.uint8)
+    out[top : top + inner[1], left : left + inner[0]] = small
+    return out
+
+
+def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
+    """Return the first ``horizon`` actions of an answer, which is untrusted, shape (horizon, numbers of an action).
+
+    Joints are in rad, m, rad/s or m/s; grippers from 0 open to 1 closed. Raises :class:`InvalidAnswerError` if the
+    answer is not such an array.
+    """
+    if not isinstance(answer, np.ndarray):
+        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+    if answer.dtype.kind not in "fiu":
+        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+    out = checked_actions(answer, robots, f"the actions of {spec.name}")[: spec.horizon]
+    if len(out) < spec.horizon:
+        message = f"{spec.name} answered with {len(out)} actions, but its `horizon` is {spec.horizon}"
+        raise InvalidAnswerError(f"{message}; lower it to {len(out)}")
+    at = 0
+    for robot in robots.values():
+        joints = slice(at, at + len(robot.joints))
+        if spec.velocity_unit is not None:
+            out[:, joints] = np.clip(out[:, joints], -1, 1) * spec.velocity_unit
+        out[:, joints.stop] = gripper_of(spec, out[:, joints.stop])
+        at = joints.stop + 1
+    return out
+
+
+def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
+    """Convert the policy's gripper numbers to 0 open to 1 closed, shape (n,)."""
+    convention = spec.gripper
+    closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
+    return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
+
+
+class ServerConnection(ABC):
+    """A connection to a policy server, with the parts that all protocols share."""
+
+    codec: ClassVar[Codec]
+
+    def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
+        self.spec, self.record = spec, record
+        self.uri = address_uri(spec.protocol, spec.address)
+        self.answered = False  # true once a query is answered, because the server has warmed up then
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Start a rollout, connecting if necessary; raises :class:`PolicyError`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Hang up."""
+
+    @property
+    def patience(self) -> float:
+        """Timeout of the next answer [s]."""
+        return self.spec.timeout if self.answered else self.spec.warm_up
+
+    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
+        """Return an error to raise, after adding it to the record."""
+        self.record.failed(message)
+        return kind(message)
+
+    def silent(self, patience: float) -> PolicyError:
+        """Return the error of a server that did not answer within ``patience`` [s]."""
+        waits = "`timeout`" if self.answered else "`warm_up`"
+        return self.fail(f"{self.uri} did not answer within {patience:g} s; raise {waits} if it needs more")
+
+    @property
+    def retried(self) -> str:
+        """End of a message about a server that was tried again, empty without retries."""
+        return f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
+
+    def packed(self, message: Mapping[str, Any]) -> bytes:
+        """Serialize a query."""
+        needed("msgpack", f"the protocol of {self.spec.protocol}")
+        try:
+            return self.codec.pack(message)
+        except CodecError as error:
+            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
+
+    def unpacked(self, data: bytes) -> Any:
+        """Parse an answer, which is untrusted."""
+        try:
+            return self.codec.unpack(data)
+        except CodecError as error:
+            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        """Count a query, and measure the time until its answer."""
+        start = time.monotonic()
+        self.record.questions += 1
+        try:
+            yield
+        finally:
+            self.record.seconds.append(time.monotonic() - start)
+
+    def secret(self) -> str | None:
+        """Return the key of the server, read from the environment, or None if it needs none."""
+        spec = self.spec
+        if spec.api_key is None:
+            return None
+        key = os.environ.get(spec.api_key, "").strip()
+        if not key:
+            raise PolicyError(f"{spec.name} takes the key of its server from {spec.api_key}, which is not set")
+        if not key.isascii() or not key.isprintable():
+            raise PolicyError(
+                f"the value of {spec.api_key} is not a valid key: it has characters that are not allowed in a header"
+            )
+        return key
+
+
+def last_line(text: str, most: int = 300) -> str:
+    """Return the end of a traceback as one printable line."""
+    lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
+    line = lines[-1] if lines else "it gives no reason"
+    return "".join(c if c.isprintable() else "?" for c in line[:most])
+
+
+class RemotePolicy(Policy, ABC):
     """A policy behind a server, configured by its document; ``record`` has the statistics of their exchange.
 
     Subclasses implement the protocol: ``begin`` before a rollout, ``ask`` for an answer, and ``close``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
-        self.spec = spec
+        self.spec, self.name = spec, spec.name
+        self.action_space = ActionSpace(spec.action_space)
+        self.cameras = cameras_of(spec)
         self.record = PolicyRecord()
         self._instruction = ""
-
-    @property
-    def name(self) -> str:
-        """Name in its document."""
-        return self.spec.name
-
-    @property
-    def action_space(self) -> ActionSpace:
-        """Action space in its document."""
-        return ActionSpace(self.spec.action_space)
-
-    @property
-    def cameras(self) -> Mapping[str, ImageSize]:
-        """Cameras of the scene that its document names."""
-        return cameras_of(self.spec)
 
     def reset(self, instruction: str, seed: int) -> None:
         """Start a rollout, connecting if necessary. Randomness in the policy is up to the server."""
@@ -55,14 +299,14 @@ class RemotePolicy:
             self.record.failed(str(error))
             raise
 
+    @abstractmethod
     def begin(self) -> None:
         """Start a rollout."""
-        raise NotImplementedError
 
+    @abstractmethod
     def ask(self, observation: Observation) -> object:
         """Return the server's answer, which should be an array of actions, shape (steps, numbers of an action)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Hang up."""
-        raise NotImplementedError

@@ -8,8 +8,8 @@ import traceback
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.evaluate.policies.codec import pack, unpack
-from simfoundry.evaluate.policies.missing import needed
+from simfoundry.evaluate.policies.codec import OPENPI_CODEC
+from simfoundry.evaluate.policies.remote import needed
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response
@@ -34,13 +34,13 @@ def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", po
     one_at_a_time = threading.Lock()
 
     def handle(connection: ServerConnection) -> None:
-        connection.send(pack(dict(metadata)))
+        connection.send(OPENPI_CODEC.pack(dict(metadata)))
         for data in connection:
             try:
                 if isinstance(data, str):
                     raise ValueError("a query must be a binary message, not a text")
                 with one_at_a_time:
-                    answer = pack(dict(infer(unpack(data))))
+                    answer = OPENPI_CODEC.pack(dict(infer(OPENPI_CODEC.unpack(data))))
             except Exception:  # report any error to the client
                 connection.send(traceback.format_exc())
                 connection.close(1011, "the traceback is in the previous message")

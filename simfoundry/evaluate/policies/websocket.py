@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
-from simfoundry.evaluate.policies.codec import CodecError, pack, unpack
-from simfoundry.evaluate.policies.missing import needed
-from simfoundry.evaluate.policies.record import PolicyRecord
-from simfoundry.evaluate.policies.secret import secret
-from simfoundry.spec.models.policy import PolicySpec, address_uri
+from simfoundry.evaluate.policies.codec import OPENPI_CODEC
+from simfoundry.evaluate.policies.remote import PolicyRecord, ServerConnection, last_line, needed
+from simfoundry.spec.models.policy import PolicySpec
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -37,17 +35,17 @@ class LostError(Exception):
     """Loss of the connection; a new connection may succeed."""
 
 
-class Connection:
+class Connection(ServerConnection):
     """A connection that is opened on demand, and reopened at most ``spec.retries`` times per rollout."""
 
+    codec = OPENPI_CODEC
+
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
-        self.spec, self.record = spec, record
-        self.uri = address_uri(spec.protocol, spec.address)
+        super().__init__(spec, record)
         self.greeting: Mapping[str, Any] = {}
         self._socket: ClientConnection | None = None
         self._open = ExitStack()
         self._left = spec.retries
-        self._answered = False
 
     def begin(self) -> None:
         """Start a rollout with its full number of retries; connect if necessary."""
@@ -58,38 +56,28 @@ class Connection:
         """Return the answer to a message; raises :class:`PolicyError`.
 
         If the connection is lost, the query is repeated if ``again`` is true; otherwise the server's rollout state is
-        lost and the rollout fails. ``expect_text`` is the only text that is not an error.
+        lost too, and the rollout is missing. ``expect_text`` is the only text that is not an error.
         """
-        data = self._packed(message)
+        data = self.packed(message)
 
         def once() -> Any:
             self._connect()
             return self._ask(data, expect_text)
 
-        start = time.monotonic()
-        self.record.questions += 1
-        try:
-            return self._again(once) if again else self._only(once)
-        finally:
-            self.record.seconds.append(time.monotonic() - start)
+        with self.timed():
+            if again:
+                return self._again(once)
+            try:
+                return once()
+            except LostError as lost:
+                self.close()
+                raise self.fail(f"{lost}, and with it the server's state of this rollout") from None
 
     def close(self) -> None:
         """Hang up."""
         self._socket = None
         with suppress(Exception):  # the peer may have disconnected in any way
             self._open.close()
-
-    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """Return an error to raise, after adding it to the record."""
-        self.record.failed(message)
-        return kind(message)
-
-    def _packed(self, message: Mapping[str, Any]) -> bytes:
-        needed("msgpack", f"the protocol of {self.spec.protocol}")
-        try:
-            return pack(message)
-        except CodecError as error:
-            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
 
     def _again(self, attempt: Any) -> Any:
         """Retry until an attempt succeeds, at most as often as the rollout allows."""
@@ -101,18 +89,10 @@ class Connection:
                 self.close()
                 self._left -= 1
                 if self._left < 0:
-                    tried = f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
-                    raise self.fail(f"{lost}{tried}") from None
+                    raise self.fail(f"{lost}{self.retried}") from None
                 self.record.reconnects += 1
                 time.sleep(pause)
                 pause = min(2 * pause, LONGEST_PAUSE_S)
-
-    def _only(self, attempt: Any) -> Any:
-        try:
-            return attempt()
-        except LostError as lost:
-            self.close()
-            raise self.fail(f"{lost}, and with it the server's state of this rollout") from None
 
     def _connect(self) -> None:
         if self._socket is not None:
@@ -120,11 +100,12 @@ class Connection:
         client = needed("websockets.sync.client", f"the protocol of {self.spec.protocol}")
         from websockets.exceptions import InvalidHandshake, InvalidURI
 
-        key = secret(self.spec)
+        key = self.secret()
+        is_here = urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")  # reached without a proxy
         try:
             self._socket = self._open.enter_context(client.connect(
                 self.uri, compression=None, max_size=LARGEST, ping_interval=PING_S, ping_timeout=PONG_S,
-                close_timeout=1, open_timeout=self.spec.timeout, proxy=None if self._is_here() else True,
+                close_timeout=1, open_timeout=self.spec.timeout, proxy=None if is_here else True,
                 additional_headers={"Authorization": f"Api-Key {key}"} if key else None,
             ))  # fmt: skip
         except InvalidURI:
@@ -134,12 +115,12 @@ class Connection:
         except (OSError, EOFError) as error:  # includes time-outs
             raise LostError(f"no server answers at {self.uri} ({_reason(error)})") from None
         self.record.connections += 1
-        self._answered = False
-        self._greet()
-
-    def _is_here(self) -> bool:
-        """Return whether the server runs on this machine, which is reached without a proxy."""
-        return urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")
+        self.answered = False
+        greeting = self._received(None)
+        if not isinstance(greeting, dict):
+            self.close()
+            raise self.fail(f"the server at {self.uri} sent a `{type(greeting).__name__}` first, not a mapping")
+        self.greeting = greeting
 
     def _refused(self, error: Exception) -> PolicyError:
         status = getattr(getattr(error, "response", None), "status_code", None)
@@ -148,13 +129,6 @@ class Connection:
             return self.fail(f"the server at {self.uri} refuses {named} ({status})")
         what = f"it answered {status}" if status else type(error).__name__
         return self.fail(f"the server at {self.uri} is not a policy server ({what})")
-
-    def _greet(self) -> None:
-        greeting = self._received(self.spec.warm_up, None)
-        if not isinstance(greeting, dict):
-            self.close()
-            raise self.fail(f"the server at {self.uri} sent a `{type(greeting).__name__}` first, not a mapping")
-        self.greeting = greeting
 
     def _ask(self, data: bytes, expect_text: str | None) -> Any:
         from websockets.exceptions import ConnectionClosed
@@ -166,11 +140,11 @@ class Connection:
             raise self._closed(closed) from None
         except OSError as error:
             raise LostError(f"the connection to {self.uri} was lost ({_reason(error)})") from None
-        answer = self._received(self.spec.timeout if self._answered else self.spec.warm_up, expect_text)
-        self._answered = True
+        answer = self._received(expect_text)
+        self.answered = True
         return answer
 
-    def _received(self, timeout: float, expect_text: str | None) -> Any:
+    def _received(self, expect_text: str | None) -> Any:
         """Receive one message; after an invalid one the connection is closed, because answers would no longer match
         queries.
         """
@@ -178,11 +152,10 @@ class Connection:
 
         assert self._socket is not None
         try:
-            data = self._socket.recv(timeout=timeout)
+            data = self._socket.recv(timeout=self.patience)
         except TimeoutError:
             self.close()
-            waits = "`timeout`" if self._answered else "`warm_up`"
-            raise self.fail(f"{self.uri} did not answer within {timeout:g} s; raise {waits} if it needs more") from None
+            raise self.silent(self.patience) from None
         except ConnectionClosed as closed:
             raise self._closed(closed) from None
         except OSError as error:
@@ -193,10 +166,10 @@ class Connection:
             self.close()
             raise self.fail(f"the server at {self.uri} failed: {last_line(data)}", InvalidAnswerError)
         try:
-            return unpack(data)
-        except CodecError as error:
+            return self.unpacked(data)
+        except InvalidAnswerError:
             self.close()
-            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
+            raise
 
     def _closed(self, closed: Any) -> Exception:
         if closed.sent is not None and closed.sent.code == 1009:  # closed by us: the message exceeded the size limit
@@ -204,13 +177,6 @@ class Connection:
             return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB", InvalidAnswerError)
         code = closed.rcvd.code if closed.rcvd is not None else None
         return LostError(f"the server at {self.uri} closed the connection" + (f" ({code})" if code else ""))
-
-
-def last_line(text: str, most: int = 300) -> str:
-    """Return the end of a traceback as one printable line."""
-    lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
-    line = lines[-1] if lines else "it gives no reason"
-    return "".join(c if c.isprintable() else "?" for c in line[:most])
 
 
 def _reason(error: BaseException) -> str:

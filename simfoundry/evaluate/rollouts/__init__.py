@@ -1,1 +1,1 @@
-"""Rollouts: control, observations, progress towards the goal, and videos."""
+"""Rollouts: control, observations, progress toward the goal, and videos."""

@@ -1,4 +1,4 @@
-"""Conversion of a policy's actions to joint targets, and the number of physics steps per control step."""
+"""Interface between a policy and the robots and cameras of a world: observations, and actions as joint targets."""
 
 from __future__ import annotations
 
@@ -7,9 +7,42 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import ActionSpace, InvalidAnswerError
-from simfoundry.geometry.frames import Array
+from simfoundry.evaluate.policies.base import ActionSpace, Image, ImageSize, RobotReading
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.scene.model import Scene
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
+
+
+def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:
+    """Raise :class:`SimfoundryError` for a camera that the scene lacks, or a size without pixels."""
+    known = [c.name for c in scene.cameras] + [m.camera.name for m in scene.mounted]
+    lost = {left.path.removeprefix("cameras."): left.reason for left in scene.left_out}
+    for name, size in wanted.items():
+        if name not in known:
+            hint = lost.get(name) or nearest(name, known) or "it has none"
+            raise SimfoundryError(f"{who} requests camera `{name}`, which scene `{scene.name}` does not have; {hint}")
+        if size.width < 1 or size.height < 1:
+            raise SimfoundryError(f"{who} requests an image of {size.width} x {size.height} pixels from `{name}`")
+
+
+def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotReading]:
+    """Read the present state of each robot."""
+    found = {}
+    for name, robot in robots.items():
+        positions = robot.positions()
+        X_WH = robot.frame("hand")
+        X_BH = world.scene.robot(name).X_WB.inverse() @ X_WH
+        joints = frozen_array([positions[joint] for joint in robot.joints])
+        found[name] = RobotReading(joints, robot.gripper(), X_WH, X_BH)
+    return found
+
+
+def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]:
+    """Render the cameras, each at its size."""
+    return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}
+
 
 FARTHEST = 0.2
 """Maximum distance of a target from its joint when velocities are integrated [rad or m]: DROID's largest step."""
@@ -23,59 +56,6 @@ def physics_steps(step: int, control_hz: float, timestep: float) -> int:
     """
     period = 1.0 / (control_hz * timestep)
     return max(1, round((step + 1) * period) - round(step * period))
-
-
-def action_size(robots: Mapping[str, WorldRobot]) -> int:
-    """Length of an action: for each robot its joints and its gripper."""
-    return sum(len(robot.joints) + 1 for robot in robots.values())
-
-
-def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """Validate a policy's answer as actions, shape (horizon, numbers of an action); raises
-    :class:`InvalidAnswerError`.
-    """
-    size = action_size(robots)
-    try:
-        array = _numbers(actions)
-    except (TypeError, ValueError) as error:
-        raise InvalidAnswerError(
-            f"actions must be an array of numbers, got {type(actions).__name__}: {error}"
-        ) from None
-    if array.ndim != 2 or array.shape[1] != size or not len(array):
-        raise InvalidAnswerError(f"actions must have shape (horizon, {size}), for {_words(robots)}; got {array.shape}")
-    if not np.isfinite(array).all():
-        row, column = (int(v) for v in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidAnswerError(f"actions must be finite; number {column} of action {row} is {array[row, column]}")
-    return array
-
-
-def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """Validate one finite action, shape (numbers of an action,); raises :class:`SimfoundryError` otherwise."""
-    size = action_size(robots)
-    try:
-        array = _numbers(action)
-    except (TypeError, ValueError) as error:
-        raise SimfoundryError(f"an action must be numbers, not `{type(action).__name__}`: {error}") from None
-    if array.shape != (size,):
-        raise SimfoundryError(f"an action must have shape ({size},), for {_words(robots)}; got {array.shape}")
-    if not np.isfinite(array).all():
-        k = int(np.argmin(np.isfinite(array)))
-        raise SimfoundryError(f"an action must be finite; its number {k} is {array[k]}; nothing was moved")
-    return array
-
-
-def _numbers(value: object) -> Array:
-    """Convert to real numbers; raises TypeError or ValueError for complex numbers and text, which NumPy would
-    convert.
-    """
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiubO":
-        raise TypeError(f"an array of `{array.dtype}`")
-    return np.array(array, dtype=np.float64)
-
-
-def _words(robots: Mapping[str, WorldRobot]) -> str:
-    return " + ".join(f"{len(r.joints)} joints and the gripper of `{n}`" for n, r in robots.items())
 
 
 class Controller:

@@ -1,10 +1,13 @@
-"""One rollout: a policy acts in a task from a start until the goal has held or can no longer be reached."""
+"""One rollout: a policy acts in a task from a start until the goal has held or can no longer be reached.
+
+Sub-tasks stay done once achieved, and the goal must hold for a while.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -12,19 +15,85 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
+from simfoundry.evaluate.policies.base import (
+    Image,
+    ImageSize,
+    InvalidAnswerError,
+    Observation,
+    Policy,
+    PolicyError,
+    action_size,
+    checked_actions,
+)
 from simfoundry.evaluate.resets.starts import RolloutStart
-from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
-from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
-from simfoundry.evaluate.rollouts.progress import Progress
-from simfoundry.evaluate.tasks.task import Task, need_robots
+from simfoundry.evaluate.rollouts.control import (
+    Controller,
+    check_cameras,
+    physics_steps,
+    pictures,
+    readings,
+)
+from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.geometry.frames import Array
-from simfoundry.predicates import Judge
+from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import parse_call, texts
 from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
+
+HOLD = 3
+"""Number of consecutive control steps (0.2 s at 15 Hz) for which a goal must be true, so that passing through it does
+not count.
+"""
+
+
+class Progress:
+    """The progress of a task over successive states.
+
+    A sub-task is done at the first state in which its goal holds, and stays done. If its goal already holds at the
+    start, such as `Closed(drawer)` before the drawer is opened, it must first become false. The task is done once its
+    goal has been true :data:`HOLD` times in a row.
+    """
+
+    def __init__(self, task: Task, judge: Judge, start: SceneState) -> None:
+        self._task, self._judge = task, judge
+        self._held = 0
+        self._waiting = {name for name, step in task.subtasks.items() if judge(step.goal, start).value}
+        self.done: dict[str, int | None] = dict.fromkeys(task.subtasks)
+
+    def see(self, step: int, state: SceneState) -> bool:
+        """Evaluate the state after control step ``step``, counted from 1; return whether the task is now done."""
+        return self.see_all(step, [state]) is not None
+
+    def see_all(self, step: int, states: Sequence[SceneState]) -> int | None:
+        """Evaluate consecutive states, the first of them after ``step``; return the index of the one that ends the
+        task, or None.
+
+        All are evaluated in one batch, which costs hardly more than one; states after the end are ignored.
+        """
+        batch = StateBatch.of(self._task.scene, states)
+        open_ = [name for name, done in self.done.items() if done is None]
+        holds = self._judge.holds(
+            {name: self._task.subtasks[name].goal for name in open_} | {"": self._task.goal}, batch
+        )
+        goal = holds[""]
+        for k in range(len(states)):
+            for name in open_:
+                if not holds[name][k]:
+                    self._waiting.discard(name)
+                elif name not in self._waiting and self.done[name] is None:
+                    self.done[name] = step + k
+            self._held = self._held + 1 if goal[k] else 0
+            if self._held >= HOLD:
+                return k
+        return None
+
+    @property
+    def subtasks(self) -> Mapping[str, int | None]:
+        """Step at which each sub-task was done, counted from 1; None if it was not."""
+        return dict(self.done)
+
 
 FALLEN = 0.3
 """Distance [m] below the lowest point of the initial scene at which an object has fallen off: below a table's
@@ -211,7 +280,7 @@ class _Run:
         )
         self.chunks += 1
         with self.clock("policy"):
-            return checked(self.policy.infer(observation), self.robots)
+            return checked_actions(self.policy.infer(observation), self.robots)
 
     def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
         """Execute one action; return the reason if the rollout ends."""

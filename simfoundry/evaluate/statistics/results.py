@@ -1,7 +1,7 @@
 """Success rates of tasks and their steps with intervals, computed from records of rollouts, for ``results.json``.
 
-A rollout with an invalid answer of the policy has failed and counts as a rollout; one without an answer has no result:
-it counts as missing and does not enter any rate.
+They are also pooled over many tasks, such as a folder of cousins. A rollout with an invalid answer of the policy has
+failed and counts as a rollout; one without an answer has no result: it counts as missing and does not enter any rate.
 """
 
 from __future__ import annotations
@@ -13,10 +13,148 @@ from typing import Any
 
 from simfoundry import __version__
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd
-from simfoundry.evaluate.statistics.engine_comparison import compare_engines
-from simfoundry.evaluate.statistics.metrics import Rate
-from simfoundry.evaluate.statistics.pools import comparisons, pools
+from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
+from simfoundry.evaluate.statistics.metrics import Rate, stratified
 from simfoundry.evaluate.statistics.records import is_result
+from simfoundry.evaluate.task import Task
+from simfoundry.spec.load import load
+from simfoundry.spec.yaml.text import read
+
+Record = Mapping[str, Any]
+
+
+def cousin_of(task: Task) -> dict[str, Any] | None:
+    """Return the identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its
+    twin.
+
+    None for a task not made by a recipe. The axes are derived from the fields of its documents that the twin's lack.
+    """
+    origin = task.setup.task_spec.origin
+    if origin is None or origin.cousin is None:
+        return None
+    scene = task.setup.scene
+    # The document's own entries, without those of its bases.
+    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}
+    known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
+    axes = set()
+    for name, fields in own.items():
+        if name not in known:
+            axes.add("distractors")
+        elif set(fields) - {"pose", "place", "joints"}:
+            axes.add("object")
+        else:
+            axes.add("scene")
+    if not task.setup.task.bases:  # it is a new task and does not extend the twin's
+        axes.add("task")
+    cousin = origin.cousin
+    return {"recipe": cousin.recipe, "seed": cousin.seed, "index": cousin.index, "axes": sorted(axes)}
+
+
+@dataclass(frozen=True)
+class RatePool:
+    """The results of a policy over several tasks in one engine.
+
+    ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step by name. ``rate`` weights all
+    rollouts equally; the stratified rate weights all tasks equally.
+    """
+
+    policy: str
+    engine: str
+    part: str
+    stratum: str
+    counts: tuple[tuple[int, int], ...]
+    subtasks: Mapping[str, Rate]
+    invalid: int
+
+    @property
+    def rate(self) -> Rate:
+        """Successful rollouts out of all with a result."""
+        return Rate(sum(done for done, _ in self.counts), sum(of for _, of in self.counts))
+
+    @property
+    def title(self) -> str:
+        """Title of the stratum."""
+        parts = {"whole": "", "alone": ", single steps", "onward": ", from a step on"}
+        return f"{self.stratum}{parts[self.part]}"
+
+    @property
+    def is_balanced(self) -> bool:
+        """Return whether all tasks have equally many rollouts, so that the stratified rate equals the pooled one."""
+        return len({of for _, of in self.counts}) == 1
+
+    @property
+    def stratified_text(self) -> str:
+        """Stratified rate with its interval, as text."""
+        rate, low, high = stratified(self.counts)
+        return f"{rate:.0%} ({low:.0%} to {high:.0%})"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return a row of ``pooled``."""
+        rate, low, high = stratified(self.counts)
+        return {
+            "part": self.part,
+            "stratum": self.stratum,
+            "engine": self.engine,
+            "policy": self.policy,
+            "tasks": len(self.counts),
+            "successes": self.rate.done,
+            "rollouts": self.rate.of,
+            "invalid": self.invalid,
+            "subtasks": {name: {"done": rate.done, "of": rate.of} for name, rate in self.subtasks.items()},
+            "rate": round(self.rate.share, 6),
+            "interval": [round(v, 6) for v in self.rate.interval],
+            "stratified_rate": round(rate, 6),
+            "stratified_interval": [round(low, 6), round(high, 6)],
+        }
+
+
+def pools(records: Iterable[Record]) -> list[RatePool]:
+    """Pool every policy over all tasks of each kind, and over those of each recipe and set of axes if these differ.
+
+    Pools need several tasks; a single one has its own row. Single steps and remainders of tasks are separate from whole
+    tasks (``part``), because they measure different abilities.
+    """
+    groups: dict[tuple[str, str, str, str], dict[str, list[Record]]] = {}
+    results = [r for r in records if is_result(r)]
+    strata: dict[str, set[str]] = {}
+    for record in results:
+        strata.setdefault(record["part"], set()).add(stratum_of(record))
+    for record in results:
+        names = ["all", stratum_of(record)] if len(strata[record["part"]]) > 1 else ["all"]
+        for name in names:
+            tasks = groups.setdefault((record["part"], name, record["engine"], record["policy"]), {})
+            tasks.setdefault(f"{record['task']}/{record['step']}", []).append(record)
+    order = {name: k for k, name in enumerate(dict.fromkeys(("all", *(key[1] for key in groups))))}
+    found = []
+    for part, name, engine, policy in sorted(groups, key=lambda key: (key[0] != "whole", key[0], order[key[1]])):
+        tasks = groups[part, name, engine, policy]
+        counts = tuple((sum(r["success"] for r in each), len(each)) for each in tasks.values())
+        invalid = sum(r["end"] == "invalid answer" for each in tasks.values() for r in each)
+        every = [r for each in tasks.values() for r in each]
+        named = dict.fromkeys(step for r in every for step in r["subtasks"])
+        steps = {step: _rate_of_step([r["subtasks"][step] for r in every if step in r["subtasks"]]) for step in named}
+        found.append(RatePool(policy, engine, part, name, counts, steps, invalid))
+    several = {(p.part, p.stratum) for p in found if len(p.counts) > 1 or p.stratum != "all"}
+    return [pool for pool in found if (pool.part, pool.stratum) in several]
+
+
+def _rate_of_step(done: Sequence[int | None]) -> Rate:
+    return Rate(sum(step is not None for step in done), len(done))
+
+
+def pool_rows(found: Sequence[RatePool]) -> dict[str, dict[str, RatePool]]:
+    """Arrange the pools by title and policy; the title names the engine if there are several."""
+    several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, RatePool]]()
+    for pool in found:
+        rows.setdefault(f"{pool.title} in {pool.engine}" if several else pool.title, {})[pool.policy] = pool
+    return rows
+
+
+def stratum_of(record: Record) -> str:
+    """Return the stratum of a rollout: the recipe and the axes of its cousin."""
+    cousin = record.get("cousin")
+    return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousins"
+
 
 VERSION = "results/2"
 
@@ -148,7 +286,7 @@ def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "scores": [cell.to_json() for cell in cells(records)],
         "pooled": [pool.to_json() for pool in pools(records)],
         "engines": [one.to_json() for one in compare_engines(records)],
-        "comparisons": [one.to_json() for one in comparisons(records)],
+        "comparisons": [one.to_json() for one in compare_policies(records)],
         "rollouts": [r for r in kept if is_result(r)],
         "unanswered": [r for r in kept if not is_result(r)],
     }

@@ -14,12 +14,11 @@ import numpy as np
 
 from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.file_search import FileSearch
+from simfoundry.frontends.files import FileSearch
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.usd.compiled.stage import error_text
 from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
-from simfoundry.frontends.usd.joints import UsdJoint, read_joint
-from simfoundry.frontends.usd.masses import UsdBody, add_mass
+from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_joint
 from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose
 
@@ -110,7 +109,7 @@ class _UsdReader:
         add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
-            self.draft.dropped(f"prims of type {kind}", "the language has no word for it", f"{count}")
+            self.draft.inexpressible(f"prims of type {kind}", f"{count}")
         missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
         if not self.draft.bodies:
             raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
@@ -143,7 +142,7 @@ class _UsdReader:
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform from the units and frame of a prim to metres in the world, z up, shape (4, 4)."""
+        """Return the transform from the units and frame of a prim to meters in the world, z up, shape (4, 4)."""
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
             raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")
@@ -307,8 +306,7 @@ class _UsdReader:
         if joint.type == "prismatic":
             value = float(moved.p @ axis)
         else:
-            value = 2 * math.atan2(float(moved.q[1:] @ axis), float(moved.q[0]))
-            value = (value + math.pi) % (2 * math.pi) - math.pi
+            value = (moved.angle_about(axis) + math.pi) % (2 * math.pi) - math.pi
         return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:

@@ -81,7 +81,7 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         x, y, z = X_WP.p.tolist()
         dx, dy, dz = (np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0).tolist()
         if kind == "dome" and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
-            draft.dropped(f"texture of light `{path}`", "a dome has one colour here")
+            draft.dropped(f"texture of light `{path}`", "a dome has one color here")
         if strength > BRIGHTEST:
             why = "it is for a camera with an exposure; here 1 is full light"
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")

@@ -151,7 +151,7 @@ def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls],
     A link is infinitely far from itself.
     """
     first, second = view.balls(a), view.balls(b)
-    off = first.centre[:, :, None] - second.centre[:, None]
+    off = first.center[:, :, None] - second.center[:, None]
     apart = np.sqrt(np.einsum("nijk,nijk->nij", off, off)) - first.radius[:, None] - second.radius
     if a.owner == b.owner:
         same = [[i == j for j, _ in second.links] for i, _ in first.links]

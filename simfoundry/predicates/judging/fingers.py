@@ -11,9 +11,8 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
 from simfoundry.predicates.judging.bodies import Bodies, CollisionBody, Entity
 from simfoundry.predicates.judging.distances import FAR, Distances
-from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
-from simfoundry.predicates.judging.view import View
+from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.robot import Gripper, mujoco_model
 
 STILL = 0.001

@@ -29,5 +29,5 @@ FACING_DOWN_DEG = 110.0
 """Largest angle [deg] between up and the opening of a containing cavity: beyond it, the contents slide out."""
 
 PRESS = 0.005
-"""Distance [m] by which a finger is moved towards the other to test if it presses on the object; the gap must decrease
+"""Distance [m] by which a finger is moved toward the other to test if it presses on the object; the gap must decrease
 by half of it."""

@@ -1,17 +1,77 @@
-"""Poses, bounding boxes and extents of the bodies of a scene in many states, each computed once on demand."""
+"""Many states of the bodies of a scene as arrays; poses, bounding boxes and extents are computed on demand."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from simfoundry.geometry.form import TURNED, Form
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.poses import Index, Poses, rotate
 from simfoundry.predicates.judging.bodies import Bodies, Entity
-from simfoundry.predicates.judging.states import StateBatch
-from simfoundry.scene.model import Joint, JointType
+from simfoundry.scene.model import Joint, JointType, Scene
+from simfoundry.scene.state import SceneState
+
+
+def _nothing() -> Mapping[str, Array]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, eq=False)
+class StateBatch:
+    """``n`` states of one scene.
+
+    ``poses`` are X_WO by object; ``joints`` are positions [rad or m] by ``object.joint``, shape (n,); ``motions`` are
+    those of ball and free joints as in :class:`SceneState`; ``robots`` are positions of a robot's joints by
+    ``robot.joint``, shape (n,); ``speeds`` [m/s] by object, shape (n,). Everything else is as in the scene, at rest.
+    """
+
+    n: int
+    poses: Mapping[str, Poses]
+    joints: Mapping[str, Array] = field(default_factory=_nothing)
+    motions: Mapping[str, Poses] = field(default_factory=lambda: MappingProxyType({}))
+    robots: Mapping[str, Array] = field(default_factory=_nothing)
+    speeds: Mapping[str, Array] = field(default_factory=_nothing)
+
+    @classmethod
+    def of(cls, scene: Scene, states: Sequence[SceneState]) -> StateBatch:
+        """Return the states in their order; values missing from a state are those of the scene."""
+        initial = SceneState.initial(scene)
+        arms = {f"{r}.{j}" for s in states for r, joints in s.robots.items() for j in joints}
+        complete = {r: [s.robots.get(r) for s in states] for s in states[:1] for r in s.robots}
+        if any(joints is None for every in complete.values() for joints in every):
+            raise ValueError(
+                "only some of the states have positions of the robots' joints; give them for all states or for none"
+            )
+        return cls(
+            len(states),
+            {n: _stacked([s.poses.get(n, pose) for s in states]) for n, pose in initial.poses.items()},
+            {n: np.array([s.joints.get(n, at) for s in states]) for n, at in initial.joints.items()},
+            {n: _stacked([s.motions.get(n, at) for s in states]) for n, at in initial.motions.items()},
+            {n: np.array([s.robots[n.partition(".")[0]][n.partition(".")[2]] for s in states]) for n in sorted(arms)},
+            {
+                n: np.array([s.speeds.get(n, 0.0) for s in states])
+                for n in sorted({k for s in states for k in s.speeds})
+            },
+        )
+
+    def at(self, index: Index) -> StateBatch:
+        """Select states."""
+
+        def taken(arrays: Mapping[str, Array]) -> dict[str, Array]:
+            return {name: values[index] for name, values in arrays.items()}
+
+        poses, motions = ({n: x.at(index) for n, x in m.items()} for m in (self.poses, self.motions))
+        return StateBatch(len(index), poses, taken(self.joints), motions, taken(self.robots), taken(self.speeds))
+
+
+def _stacked(poses: Sequence[Pose]) -> Poses:
+    return Poses.of(np.array([x.p for x in poses]).reshape(-1, 3), np.array([x.q for x in poses]).reshape(-1, 4))
+
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -19,18 +79,18 @@ UP = np.array([0.0, 0.0, 1.0])
 class Boxes(NamedTuple):
     """Bounding box of an entity in its own frame, and one rotated by 45 degrees about its z axis.
 
-    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``centre`` [m] in the world,
+    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``center`` [m] in the world,
     (2, n, 3); ``half`` extents [m], (2, n, 3); ``R``, their axes, (2, n, 3, 3).
     """
 
-    centre: Array
+    center: Array
     half: Array
     R: Array
 
     @property
     def middle(self) -> Array:
         """Middle of the first box [m], (n, 3)."""
-        return np.asarray(self.centre[0])
+        return np.asarray(self.center[0])
 
     @property
     def reach(self) -> Array:
@@ -46,11 +106,11 @@ class Boxes(NamedTuple):
 class Balls(NamedTuple):
     """Links with a form, by index, and a bounding ball of each in n states.
 
-    ``centre`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
+    ``center`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
     """
 
     links: list[tuple[int, Form]]
-    centre: Array
+    center: Array
     radius: Array
 
 
@@ -120,8 +180,8 @@ class View:
         """Bounding balls of the solid links of an entity."""
         if thing not in self._balls:
             solid = [(k, form) for k, form in self.forms(thing) if form.solid]
-            centres = [self.link(thing.owner, k) for k, _ in solid]
-            around = [X.p + X.R @ form.ball[0] for X, (_, form) in zip(centres, solid, strict=True)]
+            centers = [self.link(thing.owner, k) for k, _ in solid]
+            around = [X.p + X.R @ form.ball[0] for X, (_, form) in zip(centers, solid, strict=True)]
             stacked = np.stack(around, axis=1) if around else np.zeros((self.n, 0, 3))
             self._balls[thing] = Balls(solid, stacked, np.array([form.ball[1] for _, form in solid]))
         return self._balls[thing]
@@ -164,13 +224,13 @@ class View:
 
 def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
     """Compute boxes from the extents along :data:`TURNED` in the frame, (n, 5) each."""
-    centres, halves, axes = [], [], []
+    centers, halves, axes = [], [], []
     for rows in ([0, 1, 2], [3, 4, 2]):
         basis = TURNED[rows].T
-        centres.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
+        centers.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
         halves.append((high - low)[:, rows] / 2)
         axes.append(X_WF.R @ basis)
-    return Boxes(np.stack(centres), np.stack(halves), np.stack(axes))
+    return Boxes(np.stack(centers), np.stack(halves), np.stack(axes))
 
 
 def over(points: Array, boxes: Boxes) -> Array:
@@ -179,9 +239,9 @@ def over(points: Array, boxes: Boxes) -> Array:
     The outline of a box is a hexagon whose sides are those of its edges.
     """
     margin = np.full(len(points), np.inf)
-    for centre, half, axes in zip(boxes.centre, boxes.half, boxes.R, strict=True):
+    for center, half, axes in zip(boxes.center, boxes.half, boxes.R, strict=True):
         edges = half[:, :, None] * axes[:, :2, :].transpose(0, 2, 1)  # (n, edge, xy)
-        away = (points - centre)[:, :2]
+        away = (points - center)[:, :2]
         for k in range(3):
             length = np.linalg.norm(edges[:, k], axis=1)
             lying = length > 1e-9

@@ -85,12 +85,12 @@ class DocumentComparison:
             return [f"{'added' if self.old is None else 'removed'}: {_content(self.new or self.old)}"]
         if self.entries:
             along = self.along
-            whose = "its place names" if len(along) == 1 else "their places name"
-            lines = [f"{', '.join(along)} moved with what {whose}"] if along else []
+            object_of = "object that its place refers" if len(along) == 1 else "objects that their places refer"
+            lines = [f"{', '.join(along)} moved along with the {object_of} to"] if along else []
             return [*text(self.entries), *lines, summary(self.entries)]
         if self.changes:
-            return ["the same, in another order"]
-        return ["the same, written otherwise" if self.old.text != self.new.text else "no difference"]
+            return ["equivalent, reordered"]
+        return ["equivalent, written differently" if self.old.text != self.new.text else "no difference"]
 
 
 def _anchors(place: Place) -> set[str]:
@@ -117,14 +117,14 @@ def compare(
     present = [s for s in (old, new) if s is not None]
     unsound = [s for s in present if s.spec is None]
     if unsound:
-        reason = f"nothing is sound in {' and '.join(s.label for s in unsound)}"
+        reason = f"no part of {' or '.join(s.label for s in unsound)} is valid"
         return DocumentComparison(name, old, new, (), (), reason)
     if old is None or new is None:
         return DocumentComparison(name, old, new, (), ())
     assert old.spec is not None and new.spec is not None
     if type(old.spec) is not type(new.spec):
         kinds = [str(s.data["simfoundry"]) for s in present]
-        return DocumentComparison(name, old, new, (), (), f"it was `{kinds[0]}` and is `{kinds[1]}`")
+        return DocumentComparison(name, old, new, (), (), f"the kind changed from `{kinds[0]}` to `{kinds[1]}`")
     before = _named_alike(old, new)
     changes = diff(before, new.data)
     entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)

@@ -1,7 +1,7 @@
 """Edit the text of a document in place; bytes that the edit does not affect stay unchanged.
 
 The difference between the current data and the target data is applied change by change. A value is replaced in place, a
-member is removed together with the comments above it, and a new member is inserted after its neighbour in canonical
+member is removed together with the comments above it, and a new member is inserted after its neighbor in canonical
 form. If a change cannot be applied in place, for example an edit of an anchor that has aliases, the whole text is
 rewritten in canonical form; comments are kept.
 """
@@ -336,7 +336,7 @@ class _Round:
             new = inline_text(value, path, self.model, False)
             end = self._line_end(last.end)
             return (end, end, self.newline + indent + new) if new is not None else self._entry(path[:-1])
-        before = self._neighbour(path, parent.children)
+        before = self._neighbor(path, parent.children)
         if parent.flow:
             new = inline_text(value, path, self.model, True)
             first = next(iter(parent.children.values()))
@@ -349,7 +349,7 @@ class _Round:
         return self._new_entry(path, value, parent.children, before)
 
     def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice | None:
-        """Insert a new entry of a block mapping after its neighbour."""
+        """Insert a new entry of a block mapping after its neighbor."""
         anchor = before or next(iter(siblings.values()))
         column = anchor.key - self._line(anchor.key)
         lines = entry_lines(plain_tree(value), path, self.model, column)
@@ -366,7 +366,7 @@ class _Round:
         end = self._entry_end(before)
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
-    def _neighbour(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
+    def _neighbor(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
         """Return the entry after which a new one is inserted: the last entry before it in canonical order."""
         slot: KeyOrder = key_order(self.model)
         for part in path[:-1]:

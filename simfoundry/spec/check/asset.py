@@ -94,8 +94,8 @@ def _mimics(c: Checker, spec: AssetSpec) -> None:
             c.add("SF211", path, f"`{name}` follows itself", "name another joint, or remove `mimic`")
         elif name in _ancestors(name, leaders):
             between = takewhile(name.__ne__, _ancestors(name, leaders))
-            ring = " → ".join(f"`{joint}`" for joint in (name, *between, name))
-            c.add("SF211", path, f"`{name}` follows itself through others: {ring}", "let one of them lead")
+            cycle = " → ".join(f"`{joint}`" for joint in (name, *between, name))
+            c.add("SF211", path, f"`{name}` follows itself through others: {cycle}", "remove `mimic` from one of them")
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:

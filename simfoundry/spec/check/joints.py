@@ -38,7 +38,7 @@ def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[st
     if pair[0] == pair[1]:
         c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
     elif frozenset(pair) in seen:
-        c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is there already", "remove one")
+        c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is listed twice", "remove one of them")
     seen.add(frozenset(pair))
 
 
@@ -57,7 +57,7 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
     elif joint.type == "ball" and isinstance(written, PoseSpec) and any(written.xyz):
         c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "give a rotation only")
     elif isinstance(written, Degrees) and joint.type == "prismatic":
-        c.add("SF103", place, f"`{name}` is prismatic: its position is in metres, not degrees")
+        c.add("SF103", place, f"`{name}` is prismatic: its position is in meters, not degrees")
     else:
         return True
     return False

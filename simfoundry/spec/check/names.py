@@ -121,10 +121,10 @@ class SceneNames:
         """Check that no place depends on itself through other places."""
         needs = _unsolved({name: _needs(place) & places.keys() for name, place in places.items()})
         for name in needs:
-            ring = _ring(name, needs)
-            if ring:
-                shown = " → ".join(f"`{n}`" for n in (*ring, name))
-                hint = "give one of them a `pose`, or let it stand on something else"
+            cycle = _cycle(name, needs)
+            if cycle:
+                shown = " → ".join(f"`{n}`" for n in (*cycle, name))
+                hint = "give one of them a `pose`, or place it on something else"
                 c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
 
 
@@ -149,7 +149,7 @@ def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
     return {name: needs[name] for name, count in waiting.items() if count}
 
 
-def _ring(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
+def _cycle(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
     """Return the path from ``name`` back to itself; empty if there is none."""
     todo: list[tuple[str, ...]] = [(name,)]
     seen: set[str] = set()

@@ -1,4 +1,4 @@
-"""Plausible densities, which reveal masses in grams and sizes in millimetres."""
+"""Plausible densities, which reveal masses in grams and sizes in millimeters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def implausible(density: float) -> str:
     """Return a hint for an implausible density [kg/m^3]; empty for a plausible one."""
     if LIGHTEST <= density <= HEAVIEST:
         return ""
-    return f"things weigh {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
+    return f"densities range from {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
 
 
 def volume(shape: Shape) -> float:

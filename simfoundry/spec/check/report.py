@@ -74,9 +74,9 @@ def renderer(form: str) -> Callable[[CheckReport], str]:
     return {"text": render_text, "json": render_json, "github": render_github}[form]
 
 
-def findings_text(found: Iterable[Diagnostic], colour: bool = False) -> str:
+def findings_text(found: Iterable[Diagnostic], color: bool = False) -> str:
     """Return every finding with its source line; file names are relative to the current folder."""
-    return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), colour)
+    return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), color)
 
 
 def summary(report: CheckReport) -> str:
@@ -90,7 +90,7 @@ def summary(report: CheckReport) -> str:
 
 
 def render_text(report: CheckReport) -> str:
-    """Return the findings and the summary, without colour."""
+    """Return the findings and the summary, without color."""
     return "\n".join(part for part in (findings_text(report.findings), summary(report)) if part)
 
 

@@ -95,7 +95,7 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
         elif member not in named:
             named.add(member)
             kind = member[-2].removesuffix("s")
-            message = f"what this document extends has no {kind} `{member[-1]}`; a new one is incomplete: {d.message}"
+            message = f"the extended document has no {kind} `{member[-1]}`, and a new one is incomplete: {d.message}"
             hint = nearest(str(member[-1]), document.added[member])
             out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True))
     return out
@@ -181,7 +181,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
             return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
         former = {old: new for m in models_at(model, loc[:-1]) for old, new in former_keys(m).items()}
         if last in former:
-            return f"the key `{last}` is called `{former[last]}` now", "run `simfoundry migrate` on the file"
+            return f"the key `{last}` was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
         return f"unknown key `{last}`", nearest(str(last), names)
     if kind == "missing" and isinstance(last, int):
         return f"values are missing: the list has {len(error['input'])}", description

@@ -55,12 +55,12 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
         if last in WORDS:
             raise NewError(f"give the {last} a name, as `new {last} desk` for {_file(last)}")
         if by_name is None:
-            raise NewError(f"`{last}` does not say its kind; end it with .scene.yaml, or say `new scene {last}`")
+            raise NewError(f"the kind of `{last}` is unclear; end it with .scene.yaml, or write `new scene {last}`")
         return by_name, path
     if by_name is None and path.suffix not in (".yaml", ".yml"):
         return before[0], path / "capture.yaml" if before[0] == "capture" else Path(f"{path}.{before[0]}.yaml")
     if by_name != before[0]:
-        raise NewError(f"a {before[0]} is not kept in `{path.name}`; end it with .{before[0]}.yaml")
+        raise NewError(f"`{path.name}` is not the name of a {before[0]}; end it with .{before[0]}.yaml")
     return by_name, path
 
 
@@ -83,7 +83,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
         template, more = kind, _cousins(path, source, project.root)
     else:
         if source is not None:
-            raise NewError(f"`--from` is for tasks and recipes; a {kind} that changes another is made with `--extends`")
+            raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
         template, more = kind, {}
     text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
     text = format_text(Template(text).substitute(values | more), str(path))
@@ -107,7 +107,7 @@ def _name(path: Path, name: str | None) -> str:
     stem = path.resolve().parent.name if path.name == "capture.yaml" else path.name.partition(".")[0]
     plain = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:64]
     if not plain or not plain[0].isalpha():
-        raise NewError(f"no name can be made of `{stem}`; give one with --name")
+        raise NewError(f"no name can be derived from `{stem}`; give one with --name")
     return plain
 
 
@@ -222,7 +222,7 @@ def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
     if loaded.errors:
         raise SpecError(loaded.errors)
     if getattr(loaded.spec, "simfoundry", None) != f"{kind}/1":
-        raise NewError(f"a {kind} extends another {kind}, and {base} is none")
+        raise NewError(f"a {kind} can only extend another {kind}, and {base} is not one")
     lines: list[str] = []
     if isinstance(loaded.spec, SceneSpec):
         free = {name: item for name, item in loaded.spec.objects.items() if not item.fixed}

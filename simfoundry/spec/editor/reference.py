@@ -18,7 +18,7 @@ INTRODUCTION = """\
 
 <!-- Written by `make schemas` from simfoundry/spec; edit the models, not this page. -->
 
-A document is a YAML 1.2 file whose first key names its kind. Lengths are in metres, masses in kilograms, times in
+A document is a YAML 1.2 file whose first key names its kind. Lengths are in meters, masses in kilograms, times in
 seconds; the key of an angle contains its unit. A *name* consists of lower-case letters, digits and `_`, starts with a
 letter and has at most 64 characters. Unknown keys and keys written twice are errors. In the tables, `[number] × 3` is a
 list of three numbers and *name → number* a mapping from names. Frames, the order of components and the meaning of

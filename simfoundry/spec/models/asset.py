@@ -31,10 +31,10 @@ class PartSpec(Model):
 
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
-    color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
         "both",
         description="`visual` is only rendered: it neither collides nor has mass; `collision` collides and has mass, "
@@ -52,18 +52,19 @@ class PartSpec(Model):
 class Inertial(Model):
     """A measured inertia, which replaces the one computed from the parts."""
 
-    com: Point3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
+    com: Point3 = Field((0.0, 0.0, 0.0), description="Center of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
-        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
-        "the parts about their own centre of mass.",
+        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: that of "
+        "the parts about their own center of mass.",
     )
 
     @model_validator(mode="after")
     def _of_a_body(self) -> Self:
         if self.inertia is not None and not _is_of_a_body(self.inertia):
             message = (
-                "no body has this inertia: its principal moments must be positive, and none above the sum of the rest"
+                "no body has this inertia: its principal moments must be positive, "
+                "and none may exceed the sum of the other two"
             )
             raise PydanticCustomError("sf104", "{message}", {"message": message, "at": "inertia"})
         return self
@@ -94,20 +95,20 @@ class LinkSpec(BodySpec):
     """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
 
     parts: dict[Name, PartSpec] = Field({}, description="Its parts, by name.")
-    inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
+    inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; needs `mass`.")
 
     @model_validator(mode="after")
     def _mass(self) -> Self:
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
-            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it", {"at": "inertial"})
+            raise PydanticCustomError("sf107", "`inertial` requires `mass`", {"at": "inertial"})
         if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
             raise PydanticCustomError("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`", {})
         return self
 
     @property
     def weighed(self) -> bool:
-        """Return True if mass, centre of mass and inertia are given, so that the parts need no mass."""
+        """Return True if mass, center of mass and inertia are given, so that the parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -172,7 +173,7 @@ class JointSpec(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.type == "prismatic" and self.limits is None:
-            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in metres")
+            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in meters")
         if self.type == "revolute" and self.limits_deg is None:
             raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
         for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):
@@ -180,7 +181,7 @@ class JointSpec(Model):
                 message = f"`{name}` belong to {kind} joints, and this one is {self.type}"
                 raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
             if given is not None and given[0] >= given[1]:
-                raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
+                raise PydanticCustomError("sf104", "the lower limit must be less than the upper limit", {"at": name})
         if sum(v * v for v in self.axis) < 1e-12:
             raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
         for name in ("damping", "friction", "armature") if self.type == "free" else ():

@@ -125,7 +125,7 @@ class PoseSpec(Model):
 class CameraPose(Model):
     """Pose of a camera: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
 
-    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
     quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(
         None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
@@ -197,31 +197,31 @@ class Lathe(Model):
 
 
 class BoxShape(Model):
-    """A box centred on its frame."""
+    """A box centered on its frame."""
 
     box: Size3 = Field(description="Full extents along x, y, z [m].")
 
 
 class SphereShape(Model):
-    """A sphere centred on its frame."""
+    """A sphere centered on its frame."""
 
     sphere: Length = Field(description="Radius [m].")
 
 
 class CylinderShape(Model):
-    """A cylinder along z, centred on its frame."""
+    """A cylinder along z, centered on its frame."""
 
     cylinder: Round
 
 
 class CapsuleShape(Model):
-    """A capsule along z, centred on its frame."""
+    """A capsule along z, centered on its frame."""
 
     capsule: Round
 
 
 class PrismShape(Model):
-    """An extrusion along z, centred on its frame in height."""
+    """An extrusion along z, centered on its frame in height."""
 
     prism: Prism
 
@@ -275,7 +275,7 @@ class Origin(Model):
 
 
 class Material(Model):
-    """Physical properties and colour of a material."""
+    """Physical properties and color of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair uses the geometric mean.")
@@ -290,7 +290,7 @@ class Material(Model):
         "larger of its two.",
     )
     restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair uses the geometric mean.")
-    color: Color | None = Field(None, description="sRGB colour, red, green, blue and optionally opacity, each 0 to 1.")
+    color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
 
 
 Collision = Literal["auto", "hull", "decompose", "none"]
@@ -305,7 +305,7 @@ class BodySpec(Model):
     density: Quantity | None = Field(None, description="Density [kg/m^3] of the solid volume.")
     friction: NonNegative | None = Field(None, description="Coulomb friction coefficient; default: the material's.")
     restitution: Fraction | None = Field(None, description="Restitution; default: the material's.")
-    color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
+    color: Color | None = Field(None, description="sRGB color, 0 to 1; default: the material's, or the mesh's own.")
     collision: Collision = Field(
         "auto",
         description="Collision shapes of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, "

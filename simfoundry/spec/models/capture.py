@@ -23,11 +23,11 @@ class DepthImage(Model):
     """A depth image: 16-bit PNG, TIFF or NumPy array; values are distances along the optical axis."""
 
     image: FileName = Field(description="File, relative to this document.")
-    scale: Positive = Field(0.001, description="Metres per unit of the image; 0.001 for millimetres.")
+    scale: Positive = Field(0.001, description="Meters per unit of the image; 0.001 for millimeters.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
-    camera: Intrinsics | None = Field(None, description="The depth camera, if it is not the colour camera.")
+    camera: Intrinsics | None = Field(None, description="The depth camera, if it is not the color camera.")
     pose: PoseSpec | None = Field(
-        None, description="Pose of the depth camera in the colour camera's frame (x right, y down, z forward)."
+        None, description="Pose of the depth camera in the color camera's frame (x right, y down, z forward)."
     )
 
     @model_validator(mode="after")
@@ -40,17 +40,17 @@ class DepthImage(Model):
 class Masks(Model):
     """Instance masks: an image in which each object has its own number."""
 
-    image: FileName = Field(description="File, relative to this document; as large as the colour image.")
+    image: FileName = Field(description="File, relative to this document; as large as the color image.")
     background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that belong to no object.")
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Names of objects by their number.")
 
 
 class Shot(Model):
-    """One view: colour, depth, the camera, and masks if there are any."""
+    """One view: color, depth, the camera, and masks if there are any."""
 
-    color: FileName = Field(description="Colour image, relative to this document.")
+    color: FileName = Field(description="Color image, relative to this document.")
     depth: DepthImage
-    camera: Intrinsics = Field(description="The colour camera.")
+    camera: Intrinsics = Field(description="The color camera.")
     masks: Masks | None = Field(None, description="Instance masks.")
 
 

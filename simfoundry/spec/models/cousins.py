@@ -53,7 +53,7 @@ class SceneAxis(Model):
         for name in ("gap", "yaw_deg"):
             low, high = getattr(self, name)
             if low > high:
-                raise PydanticCustomError("sf104", "the lower end must not lie above the upper one", {"at": name})
+                raise PydanticCustomError("sf104", "the minimum must not exceed the maximum", {"at": name})
         return self
 
 
@@ -66,7 +66,7 @@ class ObjectVariants(Model):
     changes: tuple[Change, ...] = Field(
         ("geometry", "appearance"),
         min_length=1,
-        description="Aspects that may differ: shape, parts, or colour and material.",
+        description="Aspects that may differ: shape, parts, or color and material.",
     )
     components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all of them.")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
@@ -121,7 +121,7 @@ class DistractorAxis(Model):
             raise PydanticCustomError("sf104", "the minimum is greater than the maximum", {"at": "count"})
         if self.library is None and not self.builtin_library:
             raise PydanticCustomError(
-                "sf107", "`builtin_library: false` needs a `library` beside it", {"at": "builtin_library"}
+                "sf107", "`builtin_library: false` requires a `library`", {"at": "builtin_library"}
             )
         return self
 

@@ -26,7 +26,7 @@ class Place(Model):
     """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
 
     Left, right, front and behind are seen from the scene's viewpoint. Without `xy`, `local_xy` or one of these four,
-    the object is at the centre of its support. With one of the four, it is aligned with the centre of its anchor in
+    the object is at the center of its support. With one of the four, it is aligned with the center of its anchor in
     the other direction.
     """
 

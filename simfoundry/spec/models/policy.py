@@ -36,7 +36,7 @@ Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
 @dataclass(frozen=True)
 class PolicyProtocol:
-    """Properties of one kind of policy server; each is one module and is registered once.
+    """Properties of one kind of policy server; each is registered once.
 
     ``open`` creates a policy (a :class:`~simfoundry.evaluate.policies.base.Policy`) from a document. An address starts
     with one of ``schemes``; the first one and ``port`` are the defaults. ``has_path`` is True if an address may have a
@@ -54,7 +54,11 @@ class PolicyProtocol:
 
 PROTOCOLS: Registry[PolicyProtocol] = Registry(
     "simfoundry.policies",
-    {name: f"simfoundry.evaluate.policies.{name}:PROTOCOL" for name in ("openpi", "roboarena", "groot")},
+    {
+        "openpi": "simfoundry.evaluate.policies.openpi:OPENPI",
+        "roboarena": "simfoundry.evaluate.policies.openpi:ROBOARENA",
+        "groot": "simfoundry.evaluate.policies.groot:GROOT",
+    },
     PolicyProtocol,
 )
 """Protocols of policy servers by name; each is imported when a document uses it."""

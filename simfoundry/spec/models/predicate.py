@@ -1,7 +1,7 @@
 """Declarations of predicates (name, arguments, and meaning) without numpy.
 
-Each predicate is one file of :mod:`simfoundry.predicates`, or an entry point of another package in the group
-``simfoundry.predicates`` that refers to a :class:`Predicate`.
+Each predicate is a :class:`Predicate` in a module of :mod:`simfoundry.predicates`, or one to which an entry point of
+another package refers, in the group ``simfoundry.predicates``.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Predicate:
     robot, ``joint`` is an object (meaning all of its joints) or one of its joints; the others are ``robot`` and
     ``number``. The last ``optional`` arguments may be omitted.
 
-    ``rule`` is called with :class:`~simfoundry.predicates.judging.terms.Terms` and the arguments, and adds the
+    ``rule`` is called with :class:`~simfoundry.predicates.judging.judge.Terms` and the arguments, and adds the
     conditions that must hold to the terms. ``simfoundry check`` imports its module, so numpy is imported only inside
     the rule. ``definition`` describes when the predicate is true, including thresholds; ``unit`` is the unit of its
     margin.
@@ -80,23 +80,23 @@ class Predicate:
 PREDICATES = Registry(
     "simfoundry.predicates",
     {
-        "OnTop": "simfoundry.predicates.on_top:PREDICATE",
-        "Inside": "simfoundry.predicates.inside:PREDICATE",
-        "Under": "simfoundry.predicates.vertical:UNDER",
-        "Above": "simfoundry.predicates.vertical:ABOVE",
-        "NextTo": "simfoundry.predicates.next_to:PREDICATE",
-        "Touching": "simfoundry.predicates.touching:PREDICATE",
-        "LeftOf": "simfoundry.predicates.sides:LEFT_OF",
-        "RightOf": "simfoundry.predicates.sides:RIGHT_OF",
-        "InFrontOf": "simfoundry.predicates.sides:IN_FRONT_OF",
-        "Behind": "simfoundry.predicates.sides:BEHIND",
-        "At": "simfoundry.predicates.at:PREDICATE",
-        "Open": "simfoundry.predicates.opening:OPEN",
-        "Closed": "simfoundry.predicates.opening:CLOSED",
-        "Upright": "simfoundry.predicates.upright:PREDICATE",
-        "Lifted": "simfoundry.predicates.lifted:PREDICATE",
-        "Grasped": "simfoundry.predicates.grasped:PREDICATE",
-        "Released": "simfoundry.predicates.released:PREDICATE",
+        "OnTop": "simfoundry.predicates.contact:ON_TOP",
+        "Inside": "simfoundry.predicates.contact:INSIDE",
+        "Under": "simfoundry.predicates.relative:UNDER",
+        "Above": "simfoundry.predicates.relative:ABOVE",
+        "NextTo": "simfoundry.predicates.relative:NEXT_TO",
+        "Touching": "simfoundry.predicates.contact:TOUCHING",
+        "LeftOf": "simfoundry.predicates.relative:LEFT_OF",
+        "RightOf": "simfoundry.predicates.relative:RIGHT_OF",
+        "InFrontOf": "simfoundry.predicates.relative:IN_FRONT_OF",
+        "Behind": "simfoundry.predicates.relative:BEHIND",
+        "At": "simfoundry.predicates.pose:AT",
+        "Open": "simfoundry.predicates.pose:OPEN",
+        "Closed": "simfoundry.predicates.pose:CLOSED",
+        "Upright": "simfoundry.predicates.pose:UPRIGHT",
+        "Lifted": "simfoundry.predicates.holding:LIFTED",
+        "Grasped": "simfoundry.predicates.holding:GRASPED",
+        "Released": "simfoundry.predicates.holding:RELEASED",
     },
     Predicate,
 )

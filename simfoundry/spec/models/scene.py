@@ -67,7 +67,7 @@ class VariantSpec(BodySpec):
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     visual: FileName | None = Field(None, description="A mesh to render instead of the shape.")
     category: Name | None = Field(None, description="Category, such as `mug`.")
     labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
@@ -88,7 +88,7 @@ class ObjectSpec(BodySpec):
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     visual: FileName | None = Field(
         None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
@@ -99,7 +99,7 @@ class ObjectSpec(BodySpec):
     place: Place | None = Field(None, description="Placement from which its pose is computed, instead of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
-        description="Joint positions by name: metres, radians, or `{deg: 30}`; for a ball joint a rotation such as "
+        description="Joint positions by name: meters, radians, or `{deg: 30}`; for a ball joint a rotation such as "
         "`{rpy_deg: [10, 0, 20]}`, for a free joint a pose; default: 0.",
     )
     variant: Name | None = Field(
@@ -147,7 +147,7 @@ class LightSpec(Model):
     intensity: NonNegative = Field(
         1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
     )
-    color: Color = Field((1.0, 1.0, 1.0), description="sRGB colour, 0 to 1.")
+    color: Color = Field((1.0, 1.0, 1.0), description="sRGB color, 0 to 1.")
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which a distant light shines.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
 
@@ -164,7 +164,7 @@ class BackgroundSpec(Model):
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose in the world.")
-    scale: Positive = Field(1.0, description="Factor from the units of the file to metres.")
+    scale: Positive = Field(1.0, description="Factor from the units of the file to meters.")
 
     @model_validator(mode="after")
     def _one_file(self) -> Self:

@@ -59,7 +59,7 @@ class ResetRegion(Model):
         for name in ("x", "y", "yaw_deg"):
             low, high = getattr(self, name)
             if low > high:
-                raise PydanticCustomError("sf104", "the lower end must not lie above the upper one", {"at": name})
+                raise PydanticCustomError("sf104", "the minimum must not exceed the maximum", {"at": name})
         return self
 
 

@@ -123,7 +123,7 @@ class Composer:
         self.documents += 1
         if self.documents > 1:
             message = "a second document starts here; a spec is one document"
-            raise YamlError("SF004", message, *_mark(event), "write it into a file of its own")
+            raise YamlError("SF004", message, *_mark(event), "move it to a separate file")
 
     def _start(self, event: Any) -> None:
         line, column = _mark(event)
@@ -151,7 +151,7 @@ class Composer:
 
     def _alias(self, event: Any) -> None:
         if event.anchor not in self.anchors:
-            message = f"the alias *{event.anchor} has no finished anchor before it"
+            message = f"the alias *{event.anchor} has no complete anchor before it"
             raise YamlError("SF002", message, *_mark(event), "write the value out")
         node = self.anchors[event.anchor]
         self.nodes += node.weight
@@ -160,7 +160,7 @@ class Composer:
     def _count(self, line: int, column: int) -> None:
         self.nodes += 1
         if self.nodes > MAX_NODES:
-            raise YamlError("SF005", f"more than {MAX_NODES} values", line, column)
+            raise YamlError("SF005", f"the document has more than {MAX_NODES} values", line, column)
 
     def _add(self, node: Node, anchor: str | None) -> None:
         """Add a value to the collection on top of the stack."""
@@ -186,7 +186,7 @@ class Composer:
         if name in children:
             first = top.node.keys[name][0]
             message = f"`{name}` is written twice in one mapping"
-            hint = f"it stands first in line {first}; remove or rename one of the two"
+            hint = f"it is first written in line {first}; remove or rename one of them"
             self.duplicates.append(Diagnostic("SF003", Severity.ERROR, message, self.file, line, column, name, hint))
             return
         children[name] = node
@@ -221,7 +221,7 @@ def _mark(event: Any) -> tuple[int, int]:
 
 
 def _tag_error(event: Any) -> YamlError:
-    return YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+    return YamlError("SF004", f"the tag {event.tag} is not supported", *_mark(event), "remove the tag")
 
 
 def _value(event: Any) -> Any:
@@ -246,7 +246,7 @@ def _value(event: Any) -> Any:
 
 def _integer(text: str, base: int, event: Any) -> int:
     if len(text) > 100:
-        raise YamlError("SF104", "a number of more than 100 digits", *_mark(event))
+        raise YamlError("SF104", "the number has more than 100 digits", *_mark(event))
     return int(text, base)
 
 

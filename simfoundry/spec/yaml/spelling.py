@@ -14,7 +14,7 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
 DIGITS = 6
-"""Number of decimals: micrometres and milligrams, finer than the accuracy of any capture."""
+"""Number of decimals: micrometers and milligrams, finer than the accuracy of any capture."""
 LARGE = 1e15
 """Numbers at least this large are written with an exponent."""
 

@@ -131,7 +131,7 @@ def parse(text: str, file: str = "<text>") -> Document:
     if conflict:
         hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
         hint += f"`git checkout --merge -- {file}`"
-        raise YamlError("SF209", "git left a conflict here", conflict, 1, hint)
+        raise YamlError("SF209", "unresolved git conflict", conflict, 1, hint)
     odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
     if odd is not None:
         before = text[: odd.start()].splitlines(keepends=True)
@@ -152,16 +152,16 @@ def parse(text: str, file: str = "<text>") -> Document:
 
 
 _SYNTAX = (
-    ("mapping values are not allowed", "a `:` is not allowed here", "is a line indented too far, or quotes missing?"),
+    ("mapping values are not allowed", "a `:` is not allowed here", "check the indentation, or quote the text"),
     ("could not find expected ':'", "a `:` is missing", "a key is followed by a colon and a space"),
-    ("expected <document start>", "the text does not continue here", "indent all keys of the document alike"),
-    ("expected key", "a key should stand here", "indent it like the keys beside it"),
-    ("expected '-' indicator", "a `-` should stand here", "indent it like the items beside it"),
-    ("expected ',' or ']'", "a `,` or `]` should stand here", "the list that starts in line {start} is not closed"),
-    ("expected ',' or '}'", "a `,` or `}}` should stand here", "the mapping that starts in line {start} is not closed"),
-    ("expected node content", "a value should stand here", "is a bracket not closed, or a comma too many?"),
+    ("expected <document start>", "unexpected text after the end of the document", "indent all top-level keys alike"),
+    ("expected key", "expected a key", "indent it like the keys beside it"),
+    ("expected '-' indicator", "expected a `-`", "indent it like the items beside it"),
+    ("expected ',' or ']'", "expected a `,` or `]`", "the list that starts in line {start} is not closed"),
+    ("expected ',' or '}'", "expected a `,` or `}}`", "the mapping that starts in line {start} is not closed"),
+    ("expected node content", "expected a value", "check for an unclosed bracket or an extra comma"),
     ("unexpected end of stream", "these quotes are not closed", ""),
-    ("unknown escape character", "this escape is not known", "in double quotes a backslash is written twice"),
+    ("unknown escape character", "unknown escape sequence", "write a backslash twice in double quotes"),
     ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
 )
 """Messages of the parser, and the corresponding message and hint for users."""
@@ -184,5 +184,6 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
         found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
         if found == "\t":
             return YamlError("SF002", "tabs are not allowed here", line, column, "indent with spaces, not tabs")
-        return YamlError("SF002", f"a text may not start with `{found}`", line, column, "put it in double quotes")
+        message = f"an unquoted text cannot start with `{found}`"
+        return YamlError("SF002", message, line, column, "put it in double quotes")
     return YamlError("SF002", problem, line, column)

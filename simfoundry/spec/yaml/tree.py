@@ -61,7 +61,7 @@ def with_data(tree: YamlTree, data: Any) -> YamlTree:
 
     Values that remain keep their comments, removed values lose them, and new values have none. An entry of a mapping
     remains if its key does, even if its value changes. An item of a list remains if there is an equal item, or a
-    changed item between the same neighbours.
+    changed item between the same neighbors.
     """
     if isinstance(data, dict):
         if not isinstance(tree.value, dict):

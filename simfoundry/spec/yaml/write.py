@@ -20,8 +20,8 @@ WIDTH = 110
 
 MAX_KEY = 1000
 """Longest simple key [characters]; YAML requires a question mark before longer keys."""
-NEIGHBOURS = 24
-"""Largest difference in length [columns] of neighbouring lines whose comments are aligned."""
+NEIGHBORS = 24
+"""Largest difference in length [columns] of neighboring lines whose comments are aligned."""
 
 _BLOCKS = ("objects", "links", "frames")
 """Sections whose members are written on several lines."""
@@ -295,7 +295,7 @@ def _spaced(comment: str) -> str:
 
 
 def _joined(lines: list[Line]) -> Iterator[str]:
-    """Yield lines with their comments, which are aligned for neighbouring lines of similar length."""
+    """Yield lines with their comments, which are aligned for neighboring lines of similar length."""
     run: list[Line] = []
     for line in lines:
         if line[1]:
@@ -309,5 +309,5 @@ def _joined(lines: list[Line]) -> Iterator[str]:
 
 def _aligned(run: list[Line]) -> Iterator[str]:
     widths = [len(code) for code, _ in run]
-    column = max(widths) if run and max(widths) - min(widths) <= NEIGHBOURS else 0
+    column = max(widths) if run and max(widths) - min(widths) <= NEIGHBORS else 0
     yield from (f"{code:<{column}}  {_spaced(comment)}" for code, comment in run)

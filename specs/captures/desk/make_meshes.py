@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
@@ -100,7 +100,7 @@ def box_mesh(size: tuple[float, float, float], faces: dict[str, Image.Image], gr
 
 
 def can_mesh(radius: float, height: float, label: Image.Image, sides: int = 48) -> Mesh:
-    """A can with a label around it, its seam on the far side, and a grey lid and base."""
+    """A can with a label around it, its seam on the far side, and a gray lid and base."""
     angle = np.arange(sides + 1) / sides * 2 * np.pi
     ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
     u = np.arange(sides + 1) / sides

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from tests.assets.meshes import blob, block, obj
 
 Rng = np.random.Generator
@@ -22,7 +22,7 @@ TEN_MILLION = 10_000_000
 
 
 def sound(rng: Rng) -> trimesh.Trimesh:
-    """A closed mesh of some centimetres: a block, an L or a blob."""
+    """A closed mesh of some centimeters: a block, an L or a blob."""
     outline = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.05
     vertices, faces = (block((0.1, 0.2, 0.3)), prism_mesh(outline, 0.1), blob(rng, 30))[rng.integers(3)]
     return trimesh.Trimesh(vertices, faces, process=False)
@@ -204,7 +204,7 @@ def textured(text: bytes) -> bytes:
 
 
 def picture(side: int) -> bytes:
-    """A PNG of one colour: small on disk, large in memory."""
+    """A PNG of one color: small on disk, large in memory."""
     from PIL import Image
 
     stream = io.BytesIO()

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.frontends.draft import plain_name
 from simfoundry.frontends.importer import ImportReport
-from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
 from tests.corpora.importing.outcome import LIMIT, MASS, POSE, Outcome
@@ -103,6 +103,6 @@ def _compare_bodies(outcome: Outcome, a: Any, b: Any) -> None:
         if a.body_mass[k]:
             outcome.compare("mass", float(b.body_mass[i] / a.body_mass[k]), 1.0, MASS, f"body {name}")
             error = float(np.linalg.norm(states[0].xipos[k] - states[1].xipos[i]))
-            outcome.compare("position", error, 0.0, POSE, f"centre of mass of body {name}")
+            outcome.compare("position", error, 0.0, POSE, f"center of mass of body {name}")
         angle = Pose.of(q=states[0].xquat[k]).angle_to(Pose.of(q=states[1].xquat[i]))
         outcome.compare("angle", angle, 0.0, POSE * 10, f"body {name}")

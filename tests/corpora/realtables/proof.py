@@ -27,7 +27,7 @@ COLUMNS = (
 )  # fmt: skip
 
 MAX_SECONDS, MAX_MEGABYTES, MAX_LINES = 90.0, 2000.0, 15
-MAX_SIZE_ERROR, MAX_CENTRE_ERROR = 0.01, 0.02
+MAX_SIZE_ERROR, MAX_CENTER_ERROR = 0.01, 0.02
 MAX_MOVED, MAX_TURNED_DEG = 0.01, 5.0
 MAX_RELATIVE_ERROR = 1e-6
 
@@ -141,8 +141,8 @@ def _sizes(scene: Scene, proof: Proof) -> Cell:
         return Cell(f"{error * 100:+.1f} cm", verdict, why)
     if "objects" in proof.capture.entry:
         name, distance = truth.bottle(proof.capture, scene)
-        why = f"{name} is the nearest to the bottle: centre off by {distance * 100:.1f} cm"
-        return Cell(f"{distance * 100:.1f} cm", distance <= MAX_CENTRE_ERROR, why)
+        why = f"{name} is the nearest to the bottle: center off by {distance * 100:.1f} cm"
+        return Cell(f"{distance * 100:.1f} cm", distance <= MAX_CENTER_ERROR, why)
     return Cell("-")
 
 

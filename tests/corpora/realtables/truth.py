@@ -76,7 +76,7 @@ def cracker_box(scene: Scene, photograph: NDArray[np.uint8]) -> tuple[str, float
 
 
 def photograph(capture: RealCapture) -> NDArray[np.uint8]:
-    """The colour picture, uint8 RGB, shape (h, w, 3)."""
+    """The color picture, uint8 RGB, shape (h, w, 3)."""
     import cv2
 
     picture = np.asarray(cv2.imread(str(capture.folder / capture.entry["rgb"])), np.uint8)
@@ -84,9 +84,9 @@ def photograph(capture: RealCapture) -> NDArray[np.uint8]:
 
 
 def bottle(capture: RealCapture, scene: Scene) -> tuple[str, float]:
-    """The recovered object nearest to the bottle whose pose is known, and how far apart their centres are [m].
+    """The recovered object nearest to the bottle whose pose is known, and how far apart their centers are [m].
 
-    A centre is that of the bounding box in the object's own axes.
+    A center is that of the bounding box in the object's own axes.
     """
     import trimesh
 
@@ -94,7 +94,7 @@ def bottle(capture: RealCapture, scene: Scene) -> tuple[str, float]:
     mesh = trimesh.load(capture.folder / known["mesh"], force="mesh", process=False)
     X_WM = scene.cameras[0].X_WC @ Pose.from_matrix(np.array(known["T_cam_obj"], dtype=np.float64))
     p_true = X_WM.apply(np.asarray(mesh.bounds, dtype=np.float64).mean(axis=0))
-    distances = {item.name: float(np.linalg.norm(_centre(item) - p_true)) for item in scene.objects if not item.fixed}
+    distances = {item.name: float(np.linalg.norm(_center(item) - p_true)) for item in scene.objects if not item.fixed}
     name = min(distances, key=lambda n: distances[n])
     return name, distances[name]
 
@@ -105,6 +105,6 @@ def _points(item: SceneObject, X_AO: Pose) -> Array:
     return np.concatenate(shown)
 
 
-def _centre(item: SceneObject) -> Array:
+def _center(item: SceneObject) -> Array:
     points = _points(item, Pose.of())
     return item.X_WO.apply((points.min(axis=0) + points.max(axis=0)) / 2)

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from simfoundry.cousins.layout.colliders import Solids
 from simfoundry.cousins.layout.propose import Layout, propose, scatter
 from simfoundry.cousins.layout.rejection_sampling import Demands, Occupancy, Region, find, rectangles_meet
 from simfoundry.cousins.layout.supports import Outline, Support, support_of
 from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.layout.twin_objects import Solids
 from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry
 from simfoundry.scene.model import Collider, Link, SceneObject
@@ -108,7 +108,7 @@ def places(region: Region, outline: Outline, there: Occupancy, count: int, tests
 
 
 def ring() -> tuple[Region, Outline, Occupancy]:
-    """A disc on a square table around a square pillar: allowed is the square less the pillar made round by the disc."""
+    """A disk on a square table around a square pillar: allowed is the square less the pillar made round by the disk."""
     outline = Outline.of(hulls(thing("coin", Cylinder(0.05, 0.01))))
     there = Occupancy()
     there.add("pillar", Outline.of(hulls(box(0.4, 0.4, 0.1))), 0.0, 0.0, 0.05, 0.3)
@@ -131,19 +131,19 @@ def pvalue(spots: np.ndarray, allowed: shapely.Polygon, cells: int = 8) -> float
 
 
 def free_of_pillar(reach: float) -> shapely.Polygon:
-    """Where the middle of the coin may be: its bounding square, turned anyhow, is tested exactly by its real disc."""
+    """Where the middle of the coin may be: its bounding square, turned anyhow, is tested exactly by its real disk."""
     inner = shapely.box(-0.5 + reach, -0.5 + reach, 0.5 - reach, 0.5 - reach)
     return inner.difference(rectangle(0, 0, 0.2, 0.2, 0.3).buffer(reach, quad_segs=64))
 
 
-def disc_clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
+def disk_clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
     del yaw, met
     return bool(rectangle(0, 0, 0.2, 0.2, 0.3).distance(shapely.Point(x, y)) > 0.05)
 
 
 def test_places_are_uniform_over_the_region_that_is_allowed() -> None:
     region, outline, there = ring()
-    spots = places(region, outline, there, 4000, Demands(clear=disc_clear))
+    spots = places(region, outline, there, 4000, Demands(clear=disk_clear))
     assert pvalue(spots, free_of_pillar(0.05)) > 1e-3
     turned = stats.kstest(spots[:, 2], stats.uniform(-math.pi, 2 * math.pi).cdf)
     assert turned.pvalue > 1e-3

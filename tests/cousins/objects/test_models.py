@@ -106,7 +106,7 @@ def test_a_model_that_is_down_ends_the_run(
     """After a few candidates, not after all that there might be."""
     with served(frozenset({down})) as (url, _):
         at(url, monkeypatch)
-        monkeypatch.setattr("simfoundry.models.web.TIMEOUT_S", 5.0)
+        monkeypatch.setattr("simfoundry.models.generators.TIMEOUT_S", 5.0)
         done = made(project)
     assert done.code == 2 and said in done.err and len(done.err.splitlines()) == 1, done.err
     assert not (project / "out" / "assets" / "objects" / "cup.variants.json").exists(), "it is asked again next time"

@@ -12,9 +12,9 @@ import pytest
 from simfoundry.cousins.objects.generation import SourceSetup
 from simfoundry.cousins.objects.item import ObjectAsset, item_of, item_of_asset, lowered
 from simfoundry.cousins.objects.procedural import Draft
-from simfoundry.cousins.objects.swap import made_for, prepare
 from simfoundry.cousins.objects.variants import Variants, procedural, variants, weighed, write
 from simfoundry.cousins.recipe.candidate import ImpossibleError
+from simfoundry.cousins.recipe.variant_pool import made_for, prepare
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import write_atomically

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.recipe.candidate import ImpossibleError
+from simfoundry.cousins.recipe.candidate import ImpossibleError, free_name
 from simfoundry.cousins.recipe.document import read_recipe
 from simfoundry.cousins.recipe.library import (
     Library,
@@ -17,7 +17,6 @@ from simfoundry.cousins.recipe.library import (
     filtered,
     lowered,
     name_of,
-    names,
     read_library,
     remarks,
     united,
@@ -156,8 +155,7 @@ def test_names() -> None:
     assert name_of(Path("025_mug/google_16k/textured.obj")) == "mug"
     assert name_of(Path("Coffee-Mug.v2.glb")) == "coffee_mug"
     assert name_of(Path("things/042.stl")) == "thing"
-    every = names("mug")
-    assert [next(every) for _ in range(3)] == ["mug", "mug_2", "mug_3"]
+    assert [free_name("mug", taken) for taken in ((), ("mug",), ("mug", "mug_2"))] == ["mug", "mug_2", "mug_3"]
 
 
 def test_the_shipped_library_is_whole() -> None:

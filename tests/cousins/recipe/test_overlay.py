@@ -15,14 +15,13 @@ import pytest
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.recipe.document import claim_project, read_recipe
-from simfoundry.cousins.recipe.overlay import dependents, relative
+from simfoundry.cousins.recipe.document import claim_project, dependents, read_recipe, relative
 from simfoundry.cousins.run.candidates import CandidateSampler, SamplerSetup
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState

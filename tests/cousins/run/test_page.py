@@ -55,7 +55,7 @@ def assets(project: Path, name: str) -> set[str]:
 
 
 def test_fewer_variants_than_asked_for_are_said_and_end_with_1(project: Path) -> None:
-    """All cousins are made, of fewer cups than the recipe asks for: a cup of one material in one colour is one cup."""
+    """All cousins are made, of fewer cups than the recipe asks for: a cup of one material in one color is one cup."""
     axis = "object:\n  objects: {cup: {sources: [library], count: 3}}\n  library: ../assets\n"
     done = made(project, axis, 1)
     assert done.code == 1, done

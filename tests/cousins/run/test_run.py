@@ -15,9 +15,19 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.cousins.run.log import Log, log_file, read_places
-from simfoundry.cousins.run.report import read_manifest, write_manifest
-from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, Ledger, RunEnd, RunPlan, finish, run
+from simfoundry.cousins.run.report import write_manifest
+from simfoundry.cousins.run.run import (
+    LEAST_RATE,
+    PATIENCE,
+    Ledger,
+    Log,
+    RunEnd,
+    RunPlan,
+    finish,
+    log_file,
+    read_places,
+    run,
+)
 from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
@@ -65,7 +75,7 @@ def test_the_first_accepted_by_index_whatever_the_order(tmp_path: Path) -> None:
 
 def test_the_manifest_lists_every_candidate_that_counts(tmp_path: Path) -> None:
     made(plan(tmp_path / "a"), Shuffled(work()))
-    manifest = read_manifest(tmp_path / "a")
+    manifest = json.loads((tmp_path / "a/manifest.json").read_bytes())
     indices = sorted(e["index"] for e in manifest["cousins"] + manifest["rejected"])
     assert indices == list(range(1, manifest["examined"] + 1))
     assert indices[-1] == manifest["cousins"][-1]["index"]

@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 from simfoundry.frontends.bddl import read_problem
-from simfoundry.frontends.bddl.conditions import ConditionReader
-from simfoundry.frontends.bddl.problem import BddlGroup, read_group
+from simfoundry.frontends.bddl.problem import BddlGroup, ConditionReader, read_group
 from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
@@ -247,7 +246,7 @@ def test_a_task_goes_out_and_comes_back(tmp_path: Path, name: str, format_: str)
         found = back.reset.objects[key]
         if format_ == "libero":
             assert (*found.x, *found.y) == pytest.approx((*region.x, *region.y), abs=1e-4)
-        else:  # the release centres ranges on the pose of the scene
+        else:  # the release centers ranges on the pose of the scene
             assert found.x[0] <= region.x[0] + 1e-6 and found.x[1] >= region.x[1] - 1e-6
 
 

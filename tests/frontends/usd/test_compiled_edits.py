@@ -111,7 +111,7 @@ def test_what_was_not_edited_is_not_written_anew(desk: Project) -> None:
 
 
 @pytest.mark.parametrize("shift", [9e-5, -9e-5])
-def test_less_than_a_tenth_of_a_millimetre_is_no_move(desk: Project, shift: float) -> None:
+def test_less_than_a_tenth_of_a_millimeter_is_no_move(desk: Project, shift: float) -> None:
     stage = desk.edit()
     translate(stage, f"{OBJECTS}/plate", *(desk.scene.object("plate").X_WO.p + shift))
     assert desk.onto(stage).text == DESK

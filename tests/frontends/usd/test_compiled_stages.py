@@ -116,7 +116,7 @@ def test_the_document_survives_crates_and_flattening(desk: Project, tmp_path: Pa
 
 
 def test_layers_on_top_count(desk: Project, tmp_path: Path) -> None:
-    """A layer of somebody's own on top of ours, in centimetres and y up as new layers are, and a session saved."""
+    """A layer of somebody's own on top of ours, in centimeters and y up as new layers are, and a session saved."""
     from pxr import Gf, Sdf, Usd, UsdGeom
 
     top = Sdf.Layer.CreateNew(str(tmp_path / "top.usda"))
@@ -182,7 +182,7 @@ def test_edits_in_a_stage_of_other_units_are_those_of_the_scene(desk: Project, t
     cube = UsdGeom.Cube.Define(stage, "/Room/Table/crate")  # turned and scaled with the room
     cube.CreateSizeAttr(0.2)
     cube.AddTranslateOp().Set(Gf.Vec3d(0.5, 0.2, 0.1))
-    box = UsdGeom.Cube.Define(stage, "/Box")  # in centimetres and y up
+    box = UsdGeom.Cube.Define(stage, "/Box")  # in centimeters and y up
     box.CreateSizeAttr(30)
     box.AddTranslateOp().Set(Gf.Vec3d(50, 15, 40))
     UsdPhysics.RigidBodyAPI.Apply(box.GetPrim())

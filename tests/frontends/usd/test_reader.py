@@ -13,7 +13,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType
 from tests.frontends.conftest import Importing
 
-CENTIMETRES = """#usda 1.0
+CENTIMETERS = """#usda 1.0
 ( defaultPrim = "World"; metersPerUnit = 0.01; upAxis = "Y"; kilogramsPerUnit = 0.001 )
 def Xform "World" {
   def PhysicsScene "Physics" {
@@ -43,8 +43,8 @@ def Xform "World" {
 """
 
 
-def test_centimetres_grams_and_y_up_become_si_and_z_up(importing: Importing) -> None:
-    _, scene = importing("s.usda", CENTIMETRES)
+def test_centimeters_grams_and_y_up_become_si_and_z_up(importing: Importing) -> None:
+    _, scene = importing("s.usda", CENTIMETERS)
     box = scene.object("box")
     (link,) = box.links
     assert scene.gravity == pytest.approx([0, 0, -9.81])
@@ -60,7 +60,7 @@ def test_centimetres_grams_and_y_up_become_si_and_z_up(importing: Importing) -> 
 
 
 def test_a_static_capsule_lies_along_its_axis(importing: Importing) -> None:
-    _, scene = importing("s.usda", CENTIMETRES)
+    _, scene = importing("s.usda", CENTIMETERS)
     rod = scene.object("rod")
     collider = rod.links[0].colliders[0]
     assert rod.fixed and collider.geometry == Capsule(0.05, 0.4)
@@ -113,8 +113,8 @@ def test_a_hinge_turns_the_same_way_however_it_is_written(importing: Importing, 
     assert (hinge.parent, hinge.child) == ("frame", "leaf")
     opened = link_poses(door, {"hinge": math.pi / 2})["leaf"]
     leaf = next(link for link in door.links if link.name == "leaf")
-    centre = (door.X_WO @ opened).apply(leaf.colliders[0].X_LG.p)
-    assert centre == pytest.approx([0.1, 0.2 * turn, 1], abs=1e-8)
+    center = (door.X_WO @ opened).apply(leaf.colliders[0].X_LG.p)
+    assert center == pytest.approx([0.1, 0.2 * turn, 1], abs=1e-8)
 
 
 def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> None:
@@ -144,7 +144,7 @@ def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> Non
             "a frame of `/Door/Hinge` has numbers that are not finite",
         ),
         (
-            CENTIMETRES.replace(
+            CENTIMETERS.replace(
                 "float3 physics:diag", "quatf physics:principalAxes = (nan, 0, 0, 0)\n float3 physics:diag"
             ),
             "a frame of `/World/Box` has numbers that are not finite",

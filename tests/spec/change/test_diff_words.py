@@ -302,10 +302,10 @@ def test_what_is_only_written_otherwise_is_said_when_asked() -> None:
     }
     assert _said(SCENE, edits) == ([], "")
     assert _said(SCENE, edits, verbose=True)[0] == [
-        "cup: the same pose, written otherwise",
-        "cabinet: the same pose, written otherwise",
-        "relations: in another order",
-        "camera left: the same pose, written otherwise",
+        "cup: same pose, written differently",
+        "cabinet: same pose, written differently",
+        "relations: reordered",
+        "camera left: same pose, written differently",
     ]
 
 

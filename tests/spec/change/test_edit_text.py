@@ -75,7 +75,7 @@ def test_values_in_braces_and_in_blocks_keep_the_layout_around_them() -> None:
     assert _edited(edit) == wanted.replace("radius: 0.04 ", "radius: 0.05 ")
 
 
-def test_new_fields_follow_their_neighbours_in_canonical_order() -> None:
+def test_new_fields_follow_their_neighbors_in_canonical_order() -> None:
     def edit(d: Data) -> None:
         _mug(d)["category"] = "mug"
         d["materials"]["wood"]["restitution"] = 0.1
@@ -85,7 +85,7 @@ def test_new_fields_follow_their_neighbours_in_canonical_order() -> None:
     assert _edited(edit) == wanted.replace("name: desk\n", "name: desk\ngravity: [0, 0, -1.6]\n")
 
 
-def test_a_member_goes_with_the_comments_above_it_and_one_comes_below_its_neighbour() -> None:
+def test_a_member_goes_with_the_comments_above_it_and_one_comes_below_its_neighbor() -> None:
     start, end = TEXT.index("  # my mug"), TEXT.index("  # last")
     assert _edited(lambda d: d["objects"].pop("mug")) == TEXT[:start] + TEXT[end:]
     cup = {"shape": {"box": (0.1, 0.1, 0.1)}, "mass": 0.2}

@@ -234,7 +234,7 @@ def test_long_texts_are_folded_and_long_lists_wrapped() -> None:
     assert out.endswith("0.12345]  # all\n")
 
 
-def test_comments_of_neighbours_are_aligned_unless_they_are_far_apart() -> None:
+def test_comments_of_neighbors_are_aligned_unless_they_are_far_apart() -> None:
     text = "simfoundry: scene/1 # a\nname: x # b\ndescription: a long text that reaches far to the right # c\n"
     near, far = text.replace("description", "# apart\ndescription"), text
     assert "simfoundry: scene/1  # a\nname: x              # b\n# apart" in check(near)

@@ -483,7 +483,7 @@ def test_what_else_is_open_follows_a_new_name() -> None:
     decided, keys = resolve(merged.tree, SceneSpec, "theirs", ["objects.cup"])
     assert (keys, list(decided.data["conflicts"])) == (["objects.cup"], ["objects.beaker.mass"])
     taken = {**merged.data, "objects": {**merged.data["objects"], "beaker": {"shape": {"sphere": 0.1}, "mass": 1}}}
-    with pytest.raises(ResolveError, match=r"`objects\.beaker` is another one"):
+    with pytest.raises(ResolveError, match=r"`objects\.beaker` already exists"):
         resolve(plain_tree(taken), SceneSpec, "theirs")
 
 
@@ -626,7 +626,7 @@ def test_deciding_says_what_it_cannot() -> None:
         resolve(plain_tree(BASES["scene"]), SceneSpec, "ours")
     entries = {"objects.spoon.mass": {"base": 1, "ours": 2, "theirs": 3}}
     data = {**BASES["scene"], "conflicts": entries}
-    with pytest.raises(ResolveError, match=r"no `objects\.spoon` any more"):
+    with pytest.raises(ResolveError, match=r"`objects\.spoon` no longer exists"):
         resolve(plain_tree(data), SceneSpec, "ours")
     with pytest.raises(ResolveError, match=r"no conflict is recorded at `objects\.cup`; there is one at `objects\.spo"):
         resolve(plain_tree(data), SceneSpec, "ours", ["objects.cup"])

@@ -82,7 +82,7 @@ def test_what_is_up_to_date_is_left_alone() -> None:
     [
         ("simfoundry: scene/9\n", "`scene/9` is not a version"),
         ("name: a\n", "the key `simfoundry` is missing"),
-        ("simfoundry: [\n", "a value should stand here"),
+        ("simfoundry: [\n", "expected a value"),
     ],
 )
 def test_what_is_no_version_is_said(text: str, words: str) -> None:

@@ -215,7 +215,7 @@ def test_a_schema_is_one(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_of_a_number_says_its_unit(kind: str) -> None:
     units = re.compile(
-        r"\[(m|kg|deg|px|s|Hz|rad or m|rad/s or m/s|kg/m\^3|kg m\^2|m/s\^2|N|kg, or)[^\]]*\]|metres|of one unit|steps"
+        r"\[(m|kg|deg|px|s|Hz|rad or m|rad/s or m/s|kg/m\^3|kg m\^2|m/s\^2|N|kg, or)[^\]]*\]|meters|of one unit|steps"
     )
     keys = [(part, key, body) for part, key, body in _keys(kind) if _numbers(kind, body)]
     assert len(keys) > 3

@@ -1,4 +1,4 @@
-"""World frame of a stage in metres with z up, for any stage units and any way of including a compiled stage."""
+"""World frame of a stage in meters with z up, for any stage units and any way of including a compiled stage."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 class StageFrame:
-    """Transforms of prims to the world frame in metres with z up, at the earliest time.
+    """Transforms of prims to the world frame in meters with z up, at the earliest time.
 
-    A layer on top of a compiled stage keeps its numbers, which are metres, even if the layer declares other units. A
+    A layer on top of a compiled stage keeps its numbers, which are meters, even if the layer declares other units. A
     stage with other units or another up axis that references a compiled stage has to correct for that with a parent
     transform. The transform of the document's prim therefore distinguishes the two cases.
     """
@@ -57,15 +57,15 @@ class StageFrame:
         return np.asarray(self.X_WS[:3, :3] @ vector)
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
-        """Interpret numbers as metres or as stage units, whichever preserves the size of the document's prim."""
+        """Interpret numbers as meters or as stage units, whichever preserves the size of the document's prim."""
         from pxr import UsdGeom
 
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))
         up = str(UsdGeom.GetStageUpAxis(stage))
         declared = np.eye(4)
         declared[:3, :3] = unit * (Y_TO_Z if up == "Y" else np.eye(3))
-        as_metres, as_declared = (_scale(X @ X_SC) for X in (np.eye(4), declared))
-        if as_metres is None and as_declared is None and abs(unit - 1.0) > SAME_SIZE:
+        as_meters, as_declared = (_scale(X @ X_SC) for X in (np.eye(4), declared))
+        if as_meters is None and as_declared is None and abs(unit - 1.0) > SAME_SIZE:
             factors = " x ".join(f"{v:.4g}" for v in factored(X_SC.T)[1])
             raise StageError(
                 f"{carrier.GetPath()}: it is scaled by {factors} in a stage whose unit is {unit:g} m, so its size is "
@@ -73,10 +73,10 @@ class StageFrame:
                 "`metersPerUnit` to 1"
             )
         turned = _is_upright(declared @ X_SC) and not _is_upright(X_SC)
-        if as_declared is not None and (as_metres is None or turned):
+        if as_declared is not None and (as_meters is None or turned):
             declared[:3, :3] /= as_declared
             self.X_WS, self.to_m = declared, unit
-        elif as_declared is None and as_metres is None and turned:  # in metres and scaled intentionally
+        elif as_declared is None and as_meters is None and turned:  # in meters and scaled intentionally
             self.X_WS = declared
 
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
 from simfoundry.backends.usd.lights import FULL
-from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
-from simfoundry.frontends.usd.compiled.stage import StageMember
-from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
+from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -56,7 +55,7 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     """Return the pose of a camera (OpenCV axes) as readable data, with `look_at` if the image is upright.
 
-    The target point has the same distance as in the previous text, or one metre.
+    The target point has the same distance as in the previous text, or one meter.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -69,7 +68,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """Return an edited light: intensity, colour, and position or direction."""
+    """Return an edited light: intensity, color, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}

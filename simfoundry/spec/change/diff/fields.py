@@ -105,7 +105,7 @@ class Describing:
             verbs += poses.words(found)
             verbs.moved = found.moved or found.turned
             if self.verbose and not verbs.moved:
-                facts.append("the same pose, written otherwise")
+                facts.append("same pose, written differently")
         return ("pose", "place")
 
     def _placed(self, old: dict[str, Any], new: dict[str, Any], verbs: Verbs) -> None:
@@ -133,7 +133,7 @@ class Describing:
         label = _label(path)
         if found:
             return [f"{label} {', '.join(found)}"]
-        return [f"{label}: the same pose, written otherwise"] if self.verbose else []
+        return [f"{label}: same pose, written differently"] if self.verbose else []
 
     # -- values -----------------------------------------------------------------------------------------------------
 
@@ -217,7 +217,7 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
     if said:
         yield f"{label} {' and '.join(said)}"
     elif verbose:
-        yield f"{label}: in another order"
+        yield f"{label}: reordered"
 
 
 def _conjuncts(goal: Any) -> tuple[str, ...]:
@@ -233,7 +233,7 @@ def _conjuncts(goal: Any) -> tuple[str, ...]:
 def _shape(old: dict[str, Any], new: dict[str, Any]) -> str:
     left, right = values.shape(old), values.shape(new)
     if left == right:
-        return f"{left.partition(' of ')[0]} of another outline"
+        return f"{left.partition(' of ')[0]} with a different outline"
     return f"{left.removesuffix(' m')} → {right}" if "box" in old and "box" in new else f"{left} → {right}"
 
 

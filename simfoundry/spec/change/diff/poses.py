@@ -126,7 +126,7 @@ def _distance(shift: Vector) -> str:
 
 
 def _scale(length: float) -> tuple[float, str, int]:
-    """Return the factor from metres, the unit, and the decimals that make a length easy to read."""
+    """Return the factor from meters, the unit, and the decimals that make a length easy to read."""
     if length >= 0.9995:
         return 1.0, "m", 3
     if length >= 0.00995:

@@ -1,4 +1,4 @@
-"""Describe values of documents: numbers with their units, colours, shapes, places."""
+"""Describe values of documents: numbers with their units, colors, shapes, places."""
 
 from __future__ import annotations
 

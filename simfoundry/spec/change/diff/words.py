@@ -144,7 +144,7 @@ def _members(
     if words.verbose:
         kept = [name for name in old if name in new]
         if kept != [name for name in new if name in old]:
-            yield MemberChange("", "", "", ("changed",), (), (f"{section}: in another order",))
+            yield MemberChange("", "", "", ("changed",), (), (f"{section}: reordered",))
 
 
 def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:

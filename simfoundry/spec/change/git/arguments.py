@@ -52,7 +52,7 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
     files = [a for a in arguments if _is_file(a)]
     revisions = [a for a in arguments if not _is_file(a)]
     if len(revisions) > 2 or any(_is_file(a) for a in arguments[: len(revisions)]):
-        raise ArgumentError("give two files; or a revision, or two, and then files")
+        raise ArgumentError("give two files, or one or two revisions followed by files")
     if not files:
         root = repository(Path.cwd())
         return list(_below(_span(root, revisions or ["HEAD"]), root, root))

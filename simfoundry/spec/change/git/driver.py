@@ -95,9 +95,9 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
     for path in changed:
         yield f"{dotted(path)}: {shown(before.get(path, ABSENT))} → {shown(after.get(path, ABSENT))}"
     if not changed:
-        yield "the same, written otherwise"
+        yield "equivalent, written differently"
     names = " or ".join(dict.fromkeys(map(str, bases)))
-    yield f"(only what this file says: git does not tell which revision of {names} it extends here;"
+    yield f"(only the keys of this file: git does not pass the revision of {names} it extends here;"
     yield f" `simfoundry log {present[-1].path}` shows each commit in full)"
 
 

@@ -6,7 +6,7 @@ import posixpath
 import re
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,18 +61,15 @@ def repository(folder: Path) -> Path:
         return Path(git(folder, "rev-parse", "--show-toplevel").decode().rstrip("\n")).resolve()
     except GitError as error:
         if "not a git repository" in str(error):
-            raise GitError(f"{folder.resolve()} is in no git repository; give two files") from None
+            raise GitError(f"{folder.resolve()} is not in a git repository; give two files to compare") from None
         raise
 
 
 def commit(root: Path, revision: str) -> str:
     """Resolve a ``revision`` (``HEAD~1``, a branch, a tag) to a full commit hash."""
     if not revision.startswith("-") and "\0" not in revision:
-        try:
-            found = git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
-            return found.decode().strip()
-        except GitError:
-            pass
+        with suppress(GitError):  # with --quiet, git gives no reason; the error below names the revision
+            return git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}").decode().strip()
     raise GitError(f"`{revision}` is neither a file nor a revision of this repository")
 
 

@@ -39,7 +39,7 @@ def resolve(
     for key in keys:
         path, entry = parts(key), entries[key]
         if not isinstance(entry, dict) or not path:
-            raise ResolveError(f"the entry `{key}` does not say what the sides have, and where")
+            raise ResolveError(f"the entry `{key}` is not a valid conflict")
         _take(data, path, entry, entry.get(side, ABSENT), names)
         if side == "theirs":
             tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
@@ -79,7 +79,7 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
     for k, part in enumerate(path[:-1]):
         place = place.get(part) if isinstance(place, dict) else None
         if not isinstance(place, dict):
-            raise ResolveError(f"there is no `{dotted(path[: k + 1])}` any more; remove the entry `{dotted(path)}`")
+            raise ResolveError(f"`{dotted(path[: k + 1])}` no longer exists; remove the entry `{dotted(path)}`")
     key, here = path[-1], entry.get("ours")
     if value is ABSENT:
         place.pop(key, None)
@@ -87,9 +87,7 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
         place[key] = {name: place[key][name] for name in reordered(place[key], value)}
     elif key not in place and entry.get("base") == key and isinstance(here, str) and here in place:
         if value in place and value != here:
-            raise ResolveError(
-                f"`{dotted((*path[:-1], value))}` is another one; give one of the two a new name by hand"
-            )
+            raise ResolveError(f"`{dotted((*path[:-1], value))}` already exists; rename one of them by hand")
         names[path[:-1], here] = value  # both sides renamed the member at `path`
     else:
         place[key] = value

@@ -1,0 +1,317 @@
+"""Grasps of an object by parallel jaws, and release poses from which it comes to rest on or in another.
+
+Both are found on collision geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from simfoundry.geometry.crossings import HalfSpaces, Span, bounds, crossings, met
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.vertical_contact import heights
+from simfoundry.geometry.walls import LEVEL_RAYS, WALLED, hollow
+from simfoundry.robots.arm import Jaws
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls, solid
+from simfoundry.scene.state import SceneState, object_at
+
+YAWS = 12
+"""Number of closing directions about the approach direction over half a turn; each is used twice, with the hand
+flipped.
+"""
+
+ACROSS, ALONG = 17, 12
+"""Maximum number of lines across the hand and along its approach."""
+
+SPACING, FINE = 0.006, 0.0025
+"""Minimum spacing of lines across the hand and along its approach [m]."""
+
+MOST = 300
+"""Number of best grasps that are kept."""
+
+FACING = 0.92
+"""Minimum cosine between a finger's direction and the surface normal that it meets, within the friction cone."""
+
+CLEARANCE = 0.004
+"""Clearance beside each finger during the approach [m]."""
+
+PRELOAD = 0.012
+"""Additional opening of the fingers on each side of the object [m], if the gripper is wide enough."""
+
+TIP = 0.005
+"""Minimum distance of the object from the tips of the pads [m]."""
+
+ALIKE = 0.004
+"""Maximum difference between the spans of neighboring lines for them to form one surface for the pads [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """A hand about to close: its closed pose ``X_WH``, its finger opening ``open`` during the approach, and the
+    ``width`` held.
+
+    Better grasps have a smaller ``cost``.
+    """
+
+    X_WH: Pose
+    width: float
+    open: float
+    cost: float
+
+
+def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
+    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] toward eight sides."""
+    angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
+    return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
+
+
+def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
+    """Yield rotations of the hand with its z along ``approach``, and closing directions y all around.
+
+    They start from the direction in which the shape is longest as seen along the approach, so that long objects are
+    grasped across.
+    """
+    side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    side = np.cross(approach, side)
+    side /= np.linalg.norm(side)
+    other = np.cross(approach, side)
+    flat = shape.corners @ np.column_stack([side, other])
+    _, axes = np.linalg.eigh(np.cov(flat.T))
+    start = math.atan2(axes[1, 1], axes[0, 1])
+    for k in range(YAWS):
+        angle = start + k * math.pi / YAWS
+        y = math.cos(angle) * side + math.sin(angle) * other
+        yield np.column_stack([np.cross(y, approach), y, approach])
+
+
+def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+    """Return all grasps of a shape with its center of mass at ``center`` [m], best first, including flipped hands."""
+    found: list[Grasp] = []
+    for approach in approaches:
+        for R_WH in rotations(shape, approach):
+            found += _along(shape, center, jaws, R_WH)
+    flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
+    both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
+    return sorted(both, key=lambda g: g.cost)[:MOST]
+
+
+def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
+    """Yield grasps with the hand rotated by R_WH."""
+    low, high = bounds(shape, R_WH)
+    across = _grid(low[0], high[0], ACROSS, SPACING)
+    along = _grid(low[2], high[2], ALONG, FINE)
+    a, h = np.meshgrid(across, along, indexing="ij")
+    y = (low[1] + high[1]) / 2
+    starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R_WH.T
+    lines = crossings(shape, starts, R_WH[:, 1])
+    spans = [
+        [_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))
+    ]
+    tilt = math.acos(min(1.0, max(-1.0, -float(R_WH[2, 2]))))
+    for i in range(len(across)):
+        for j in range(len(along)):
+            for span in spans[i][j]:
+                middle = R_WH @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
+                area = _area(spans, i, j, span)
+                _, first, tip = jaws.at_width(span.width)
+                opened = jaws.at_width(min(span.width + 2 * PRELOAD, jaws.opening))[0]
+                aside = middle - center
+                aside = aside - (aside @ R_WH[:, 2]) * R_WH[:, 2]
+                off = float(np.linalg.norm(aside))
+                tight = max(0.0, 0.008 - (jaws.opening - span.width) / 2) / 0.008
+                for depth in ((first + tip) / 2, tip - TIP):
+                    shallow = 0.15 if depth > (first + tip) / 2 else 0.0
+                    cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
+                    yield Grasp(Pose.of(middle - R_WH[:, 2] * depth, quat_from_matrix(R_WH)), span.width, opened, cost)
+
+
+def _grid(low: float, high: float, most: int, spacing: float) -> Array:
+    """Evenly spaced coordinates slightly inside ``low`` and ``high``, at least ``spacing`` apart."""
+    count = int(np.clip((high - low) / spacing, 1, most))
+    return low + (np.arange(count) + 0.5) * (high - low) / count
+
+
+def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
+    """Spans and sequences of spans that the fingers can close on from both ends."""
+    widest = jaws.opening - 2 * CLEARANCE
+    found = []
+    for i, first in enumerate(spans):
+        for last in spans[i:]:
+            facing = min(first.facing, last.facing)
+            if last.end - first.start <= widest and facing >= FACING:
+                found.append(Span(first.start, last.end, facing))
+    return found
+
+
+def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
+    """Share of the neighboring lines that meet the same surfaces, a measure of the pads' contact area."""
+    around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1) if di or dj]
+    alike = 0
+    for k, m in around:
+        if 0 <= k < len(spans) and 0 <= m < len(spans[k]):
+            near = (max(abs(other.start - span.start), abs(other.end - span.end)) for other in spans[k][m])
+            alike += min(near, default=math.inf) < ALIKE
+    return alike / len(around)
+
+
+TURNS = 8
+"""Number of rotations about the vertical that are tried."""
+
+GRID, GRID_SPACING = 7, 0.012
+"""Maximum number of positions along each side of the target, and their minimum spacing [m]."""
+
+SUNK = 0.008
+"""Minimum depth of an object's lowest point below the rim of a cavity [m]."""
+
+UP = np.array([0.0, 0.0, 1.0])
+
+ENOUGH, LOOKED_AT = 48, 400
+"""Number of places of a kind that suffice, and maximum number of candidate poses on end that are tried."""
+
+FAR = 10.0
+"""Cost of a place per meter from the center."""
+
+LONG = 1.8
+"""Minimum ratio of the two largest extents of a long object, which may also stand on end."""
+
+LEANS = (0.0, 0.3, 0.6)
+"""Tilt angles of a long object that is put into a cavity [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceAt:
+    """A pose in which an object touches its support; better places have a smaller ``cost``."""
+
+    X_WO: Pose
+    cost: float
+
+
+class _Target:
+    """A support: an object, or one of its links, among the other movable ones."""
+
+    def __init__(self, scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> None:
+        owner, _, link = target.partition(".")
+        item = object_at(scene.object(owner), state)
+        self._whole, self._inside = hulls(item), inside
+        self._link = [each.name for each in item.links].index(link) if link else None
+        self._part = self._whole if self._link is None else self._whole.of_link(self._link)
+        self._R_WC = (item.X_WO @ link_poses(item)[link] if link else item.X_WO).rotation
+        self._top = self._part.extent(UP)[1]
+        self._walls = solid(item, state, [link] if link else None)
+        others = (o for o in scene.objects if o.name not in (name, owner) and not o.fixed)
+        self._others = [hulls(object_at(o, state)) for o in others]
+
+    def spots(self) -> list[tuple[Array, float]]:
+        """Positions in the plane [m] over it, from its center outward, and their distances from the center."""
+        middle = self._part.middle(self._R_WC)
+        if self._inside:
+            middle = hollow(self._part, middle, self._R_WC)
+        axes = self._R_WC[:, :2]
+        half = [(high - low) / 2 for low, high in (self._part.extent(axes[:, k]) for k in range(2))]
+        rows, columns = (np.linspace(-0.8, 0.8, _odd(1.6 * h / GRID_SPACING)) * h for h in half)
+        spots = [((middle + axes @ np.array([a, b]))[:2], math.hypot(a, b)) for a in rows for b in columns]
+        return sorted(spots, key=lambda s: s[1])
+
+    def place(self, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
+        """Lower an object at a position; None if it first meets another object, or is not inside as required."""
+        at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
+        held = shape.moved(at)
+        touching = heights(held, self._whole)
+        lift = float(touching.max())
+        first = self._whole.link[np.unravel_index(int(touching.argmax()), touching.shape)[1]]
+        if not math.isfinite(lift) or (self._link is not None and first != self._link):
+            return None
+        foot = lift + shape.extent(UP)[0]
+        if self._inside and not (foot < self._top - SUNK and self._walled(np.array([*spot, foot]))):
+            return None
+        if any(float(heights(held, other).max()) > lift for other in self._others):
+            return None
+        return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
+
+    def _walled(self, foot: Array) -> bool:
+        """Return whether a point at an object's foot has walls on most sides, there or slightly higher."""
+        return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
+
+
+def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
+    """Poses of ``name`` on or inside ``target`` (an object or a link of one), best first.
+
+    First in its present orientation at the center of the free area; a long object also on end.
+    """
+    item, support = scene.object(name), _Target(scene, state, name, target, inside)
+    spots = support.spots()
+    lying = [(turn, 0.0) for turn in _turned(state.poses[name])]
+    found = _central([p for place in _tried(item, lying, spots) if (p := support.place(*place)) is not None])
+    if inside:
+        on_end = _tried(item, list(_on_end(item, state)), spots)[:LOOKED_AT]
+        found += islice((p for place in on_end if (p := support.place(*place)) is not None), ENOUGH)
+    return sorted(found, key=lambda p: p.cost)
+
+
+def _tried(
+    item: SceneObject, turns: list[tuple[Pose, float]], spots: list[tuple[Array, float]]
+) -> list[tuple[Pose, Hulls, Array, float]]:
+    """Combine every rotation and position, with the resulting shape and cost, in order of cost."""
+    turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
+    every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
+    return sorted(every, key=lambda each: each[3])
+
+
+def _central(found: list[PlaceAt]) -> list[PlaceAt]:
+    """Places closest to the center of all found; for an object half under a lid, this is the center of the open
+    half.
+    """
+    if not found:
+        return []
+    middle = np.mean([place.X_WO.p[:2] for place in found], axis=0)
+    off = [float(np.linalg.norm(place.X_WO.p[:2] - middle)) for place in found]
+    central = [PlaceAt(place.X_WO, FAR * distance) for place, distance in zip(found, off, strict=True)]
+    return sorted(central, key=lambda place: place.cost)[:ENOUGH]
+
+
+def _odd(count: float) -> int:
+    """Round to an odd number of positions up to :data:`GRID`, so that the center is one of them."""
+    return 2 * (int(np.clip(count, 3, GRID)) // 2) + 1
+
+
+def _turned(pose: Pose) -> list[Pose]:
+    """Rotations of a pose about the vertical."""
+    now = Pose.of(q=pose.q)
+    return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
+
+
+def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
+    """Yield rotations of a long object on its ends, tilted by up to :data:`LEANS`, with their costs."""
+    axis = _long_axis(item)
+    if axis is None:
+        return
+    now = Pose.of(q=state.poses[item.name].q)
+    level = now.rotation[:, axis]
+    heading = math.atan2(level[1], level[0])
+    for lean in LEANS:
+        for sign in (1, -1):
+            # Rotate about the horizontal axis across it, until it points down or up.
+            upend = Pose.of(q=_about(heading + math.pi / 2, sign * (math.pi / 2 - lean))) @ now
+            for turn in _turned(upend):
+                yield turn, 0.3 + 0.1 * lean
+
+
+def _about(heading: float, angle: float) -> Array:
+    half = angle / 2
+    return np.array([math.cos(half), math.sin(half) * math.cos(heading), math.sin(half) * math.sin(heading), 0.0])
+
+
+def _long_axis(item: SceneObject) -> int | None:
+    """Axis of the object's frame along which it is long, if any."""
+    shape = hulls(replace(item, X_WO=Pose.of()))
+    size = shape.size()
+    axis = int(size.argmax())
+    return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None

@@ -1,0 +1,133 @@
+"""Open-loop policies: a random walk as a baseline, and the replay of a recorded rollout."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.evaluate.policies.base import (
+    ActionSpace,
+    InvalidAnswerError,
+    Observation,
+    Policy,
+    PolicyError,
+    action_size,
+)
+from simfoundry.geometry.frames import Array
+
+STEP = 0.1
+"""Maximum joint motion per step in either direction [rad or m]: 1.5 rad/s at 15 Hz."""
+HORIZON = 8
+"""Number of actions per query, as for the paper's policies."""
+
+
+class RandomPolicy(Policy):
+    """A random walk of the joints from their present positions, with steps up to ``STEP``; the gripper toggles
+    occasionally.
+    """
+
+    name = "random"
+    action_space = ActionSpace.JOINT_POSITION
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+
+    def reset(self, instruction: str, seed: int) -> None:
+        """Start a rollout; equal seeds give equal walks."""
+        self._rng = np.random.default_rng(seed)
+
+    def infer(self, observation: Observation) -> Array:
+        """Return joint positions, shape (HORIZON, numbers of an action)."""
+        columns: list[Array] = []
+        for robot in observation.robots.values():
+            steps = self._rng.uniform(-STEP, STEP, (HORIZON, len(robot.joints)))
+            columns.append(np.asarray(robot.joints) + np.cumsum(steps, axis=0))
+            columns.append(np.full((HORIZON, 1), float(self._rng.integers(2))))
+        return np.concatenate(columns, axis=1) if columns else np.zeros((HORIZON, 0))
+
+
+LARGEST = 256 * 2**20
+"""Maximum size of a recording [bytes]."""
+
+
+class ReplayPolicy(Policy):
+    """Recorded actions in order, after which the last one is held. Every rollout starts with the first."""
+
+    def __init__(self, actions: Array, action_space: ActionSpace = ActionSpace.JOINT_POSITION, name: str = "replay"):
+        self.name, self.action_space = name, action_space
+        self._actions, self._played = actions, False
+
+    def reset(self, instruction: str, seed: int) -> None:
+        """Start over with the first action."""
+        self._played = False
+
+    def infer(self, observation: Observation) -> Array:
+        """Return all actions at once, then the last one repeatedly, shape (steps, numbers of an action)."""
+        width = action_size(observation.robots)
+        if self._actions.shape[1] != width:
+            recorded = self._actions.shape[1]
+            raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots take {width}")
+        chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
+        if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
+            at = 0
+            for robot in observation.robots.values():  # stop all motion; the grippers keep their position
+                chunk[:, at : at + len(robot.joints)] = 0.0
+                at += len(robot.joints) + 1
+        self._played = True
+        return chunk
+
+
+def load_replay(path: Path) -> ReplayPolicy:
+    """Load the policy of a recording; raises :class:`PolicyError`.
+
+    ``.npy`` holds the actions alone, shape (steps, numbers of an action); ``.npz`` and ``.json`` have them as
+    ``actions``, with an optional ``action_space``; the default is joint positions.
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            raise PolicyError(f"{path} is larger than {LARGEST // 2**20} MiB, the limit for recorded actions")
+        actions, space = _read(path)
+    except (OSError, ValueError, KeyError, EOFError, RecursionError, MemoryError, zipfile.BadZipFile) as error:
+        why = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise PolicyError(f"{path} does not hold recorded actions: {why}") from None
+    if actions.ndim != 2 or not actions.size:
+        raise PolicyError(f"{path} holds an array of shape {actions.shape}, not actions of (steps, numbers)")
+    if not np.isfinite(actions).all():
+        raise PolicyError(f"{path} holds actions that are not finite numbers")
+    if space not in tuple(ActionSpace):
+        raise PolicyError(f"{path} has actions of `{space}`; known are {', '.join(ActionSpace)}")
+    return ReplayPolicy(actions, ActionSpace(space), f"replay:{path.name}")
+
+
+def _read(path: Path) -> tuple[Array, str]:
+    """Read actions and their action space; raises various exceptions if the file is not a recording."""
+    default = str(ActionSpace.JOINT_POSITION)
+    match path.suffix.lower():
+        case ".npy":
+            # Memory-mapping verifies the size in the header without allocating it.
+            return _numbers(np.lib.format.open_memmap(path, mode="r")), default
+        case ".npz":
+            with zipfile.ZipFile(path) as files:
+                total = math.fsum(file.file_size for file in files.infolist())
+            if total > LARGEST:
+                raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
+            with np.load(path, allow_pickle=False) as stored:
+                space = str(stored["action_space"]) if "action_space" in stored else default
+                return _numbers(stored["actions"]), space
+        case ".json":
+            found = json.loads(path.read_text(encoding="utf-8"))
+            actions = found["actions"] if isinstance(found, dict) else found
+            space = found.get("action_space", default) if isinstance(found, dict) else default
+            return _numbers(np.array(actions)), str(space)
+    raise ValueError("the name of a recording must end with .npy, .npz or .json")
+
+
+def _numbers(array: np.ndarray[Any, Any]) -> Array:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"an array of `{array.dtype}`")
+    return np.array(array, dtype=np.float64)

@@ -1,1 +1,0 @@
-"""Tasks prepared for rollouts: lowered scenes, starts of steps, and robots that can act."""

@@ -1,0 +1,203 @@
+"""HTTP requests to model servers: bounded in time and size; every failure becomes a one-sentence error."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from simfoundry.errors import SimfoundryError
+
+TIMEOUT_S = 300.0
+"""Response timeout of a server [s]: mesh generators take a minute or two."""
+
+MAX_BYTES = 256 * 2**20
+"""Largest answer [bytes]: no usable picture or mesh is larger."""
+
+MAX_QUOTE = 300
+"""Length of a server's error text that is quoted [characters]: its first sentences."""
+
+FormFile = tuple[str, tuple[str, bytes, str]]
+"""A file of a multipart form: field, then file name, data and media type."""
+
+
+class ModelError(SimfoundryError):
+    """A model without a usable answer; the message states the model, the reason, and the remedy."""
+
+
+def post(
+    url: str,
+    server: str,
+    json: Mapping[str, Any] | None = None,
+    form: Mapping[str, str] | None = None,
+    files: Sequence[FormFile] = (),
+    headers: Mapping[str, str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+    max_bytes: int = MAX_BYTES,
+) -> bytes:
+    """Send a POST with a JSON body or a multipart form and return the body of the answer.
+
+    ``server`` names the server in errors, such as `the image model`. Raises :class:`ModelError` for an address that is
+    not HTTP, no answer within ``timeout_s``, an error status, and answers larger than ``max_bytes``.
+    """
+    import httpx
+
+    if not url.startswith(("http://", "https://")):
+        raise ModelError(f"{server} needs an address that starts with http:// or https://, not `{url}`")
+    body: dict[str, Any] = {"json": json} if json is not None else {"data": form, "files": list(files)}
+    try:
+        with httpx.stream("POST", url, **body, headers=headers, timeout=timeout_s, follow_redirects=True) as answer:
+            data = b""
+            for chunk in answer.iter_bytes():
+                data += chunk
+                if len(data) > max_bytes:
+                    raise ModelError(f"{server} at {url} answered with more than {max_bytes // 2**20} MiB")
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        reason = str(error) or type(error).__name__
+        raise ModelError(
+            f"{server} at {url} does not answer ({reason}); is it running, and is the address right?"
+        ) from None
+    if not answer.is_success:
+        quote = " ".join(data[:MAX_QUOTE].decode(errors="replace").split())
+        raise ModelError(f"{server} at {url} answered {answer.status_code} {answer.reason_phrase}: {quote}")
+    return data
+
+
+PNG = b"\x89PNG\r\n\x1a\n"
+JPEG = b"\xff\xd8\xff"
+
+IMAGES_URL, IMAGES_MODEL, IMAGES_KEY = "SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_IMAGES_KEY"
+"""Environment variables with the address, the name and the key of the image model; the key is stored nowhere else."""
+
+
+class ImageEditor(Protocol):
+    """Interface of models that edit pictures."""
+
+    def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
+        """Return a PNG edited from the first of ``pictures`` (PNG or JPEG); raises :class:`ModelError`."""
+        ...
+
+
+@dataclass(frozen=True)
+class HttpImages:
+    """Editor behind the OpenAI images API: ``POST {url}/images/edits``, which several servers implement.
+
+    https://platform.openai.com/docs/api-reference/images/createEdit: multipart, up to 16 pictures as ``image[]``;
+    ``background: transparent`` requires ``output_format`` png or webp, and only GPT image models accept these two; they
+    answer with ``data[0].b64_json`` and reject ``response_format``. OpenAI's own client documents the same:
+    https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
+    """
+
+    url: str
+    model: str
+    key: str = ""
+    timeout_s: float = TIMEOUT_S
+
+    def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
+        """Return the edited picture, with a transparent background."""
+        if not pictures:
+            raise ModelError("the image model needs a picture to edit")
+        fields = {"model": self.model, "prompt": prompt, "background": "transparent", "output_format": "png", "n": "1"}
+        files = [("image[]", _form_file(k, picture)) for k, picture in enumerate(pictures)]
+        headers = {"Accept": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
+        url = f"{self.url.rstrip('/')}/images/edits"
+        answer = post(url, "the image model", form=fields, files=files, headers=headers, timeout_s=self.timeout_s)
+        return _picture(answer, self.url)
+
+
+def images_from_environment(environment: Mapping[str, str] | None = None, model: str | None = None) -> HttpImages:
+    """Return the image model that the environment names, or ``model`` on its server.
+
+    Raises :class:`ModelError` if a variable is missing.
+    """
+    env = os.environ if environment is None else environment
+    missing = [name for name in (IMAGES_URL, IMAGES_MODEL) if not (env.get(name) or (name == IMAGES_MODEL and model))]
+    if missing:
+        message = f"no image model: set {' and '.join(missing)}, and {IMAGES_KEY} where the server wants a key"
+        raise ModelError(message)
+    return HttpImages(env[IMAGES_URL], model or env[IMAGES_MODEL], env.get(IMAGES_KEY, ""))
+
+
+def _form_file(k: int, data: bytes) -> tuple[str, bytes, str]:
+    """Return the file name, data and media type of a picture."""
+    if data.startswith(PNG):
+        return f"picture_{k}.png", data, "image/png"
+    if data.startswith(JPEG):
+        return f"picture_{k}.jpg", data, "image/jpeg"
+    raise ModelError("pictures for the image model must be PNG or JPEG")
+
+
+def _picture(answer: bytes, url: str) -> bytes:
+    try:
+        data = base64.b64decode(json.loads(answer)["data"][0]["b64_json"], validate=True)
+    except (ValueError, KeyError, IndexError, TypeError):
+        raise ModelError(f"the image model at {url} answered without a picture in data[0].b64_json") from None
+    if not data.startswith((PNG, JPEG)):
+        raise ModelError(f"the image model at {url} answered with data that is neither PNG nor JPEG")
+    return data
+
+
+MESHES_URL = "SIMFOUNDRY_MESHES_URL"
+"""Environment variable with the address of the mesh model."""
+
+GLB = b"glTF"
+
+SEEDS = 2**32
+"""Exclusive upper bound of the seeds that servers accept."""
+
+
+class MeshMaker(Protocol):
+    """Interface of models that make meshes from pictures."""
+
+    def make(self, picture: bytes, seed: int) -> bytes:
+        """Return a GLB, y up, any unit, of a PNG with a transparent background; raises :class:`ModelError`."""
+        ...
+
+
+@dataclass(frozen=True)
+class HttpMeshes:
+    """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``: ``POST {url}/generate`` answers with a GLB.
+
+    https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py, and Hunyuan3D-2.1 with the fields of
+    https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py: ``image`` in base64, ``seed`` below 2^32,
+    ``texture`` and, only with it, ``face_count`` from 1,000 to 100,000; only the first accepts ``type``, and both
+    return a GLB by default. Texturing needs a server started with ``--enable_tex``; all failures are answered with 404.
+    ``faces`` is the number of triangles to keep.
+    """
+
+    url: str
+    texture: bool = True
+    faces: int = 20_000
+    timeout_s: float = TIMEOUT_S
+
+    def make(self, picture: bytes, seed: int) -> bytes:
+        """Return the mesh of a picture."""
+        asked = {
+            "image": base64.b64encode(picture).decode(),
+            "seed": seed % SEEDS,
+            "texture": self.texture,
+            "face_count": self.faces,
+            "type": "glb",
+        }
+        try:
+            url = f"{self.url.rstrip('/')}/generate"
+            data = post(url, "the mesh model", json=asked, timeout_s=self.timeout_s)
+        except ModelError as error:
+            if self.texture and " 404 " in str(error):
+                hint = "; was it started with --enable_tex? otherwise set `texture: false` in the recipe's `models`"
+                raise ModelError(f"{error}{hint}") from None
+            raise
+        if not data.startswith(GLB):
+            raise ModelError(f"the mesh model at {self.url} answered with data that is not a GLB")
+        return data
+
+
+def meshes_from_environment(environment: Mapping[str, str] | None = None, texture: bool = True) -> HttpMeshes:
+    """Return the mesh model that the environment names; raises :class:`ModelError` if the variable is missing."""
+    env = os.environ if environment is None else environment
+    if not env.get(MESHES_URL):
+        raise ModelError(f"no mesh model: set {MESHES_URL} to the address of a server with Hunyuan3D-2's API")
+    return HttpMeshes(env[MESHES_URL], texture)

@@ -1,0 +1,109 @@
+"""``Touching``, ``OnTop`` and ``Inside``: contact between two objects, support and containment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simfoundry.predicates.judging.thresholds import (
+    CLOSE,
+    ENCLOSED,
+    FACING_DOWN_DEG,
+    FRICTION_SHARE,
+    SETTLED,
+    SUPPORT_DEG,
+    TOUCH,
+)
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Entity
+    from simfoundry.predicates.judging.judge import Terms
+
+
+def touching(terms: Terms, a: Entity, b: Entity) -> None:
+    """Require that the distance is no more than :data:`TOUCH`."""
+    gap = terms.context.distances.between(terms.view, a, b, TOUCH)
+    terms.require(gap, TOUCH - gap, lambda v, ok: terms.gap_text(a, b, v))
+
+
+TOUCHING = Predicate(
+    "Touching",
+    "the two touch",
+    ("body", "body"),
+    touching,
+    f"their surfaces are at most {TOUCH * 1000:g} mm apart",
+    effect=Effect.MOVE,
+    aliases=("touching",),
+)
+
+
+STEEP_SCALE = 0.01
+"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimeters."""
+
+
+def on_top(terms: Terms, a: Entity, b: Entity) -> None:
+    """Require that ``b`` touches ``a``, pushes it up and balances it, and that ``a`` is at rest and not held."""
+    from functools import partial
+
+    from simfoundry.predicates.judging import measurements
+
+    terms.require_at_rest(a)
+    contact = measurements.SupportContact(terms.context, a, b)
+    terms.require_if_open(contact.gap, contact.margin, lambda v, ok: terms.gap_text(a, b, v))
+    terms.require_if_open(
+        contact.push,
+        lambda v: STEEP_SCALE * (v - contact.least_cosine),
+        lambda v, ok: "" if ok else measurements.push_text(a, b, v),
+    )
+    balance = partial(measurements.balance, terms.context, a, b)
+    terms.require_if_open(balance, lambda v: v, lambda v, ok: measurements.balance_text(a, b, v))
+    terms.require_not_held(a)
+
+
+ON_TOP = Predicate(
+    "OnTop",
+    "the first rests on top of the second",
+    ("thing", "thing"),
+    on_top,
+    f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {SUPPORT_DEG:g} deg of "
+    f"straight up, with {FRICTION_SHARE:g} of the friction angle credited; the center of mass of `a` is over the "
+    f"outline of `b`, or `a` also touches another object; if `b` is farther away than {CLOSE * 1000:g} mm, no object "
+    f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it. An object "
+    "in a bowl rests on the bowl, one on a hook rests on the hook, and one that leans on an edge rests on the edge",
+    effect=Effect.PLACE,
+    aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
+)
+
+
+def inside(terms: Terms, a: Entity, b: Entity) -> None:
+    """Require that half of ``a`` is in a suitable cavity of ``b``, that ``a`` is at rest and not held by a robot."""
+    import numpy as np
+
+    from simfoundry.predicates.judging.distances import FAR
+    from simfoundry.predicates.judging.measurements import enclosed_depth
+    from simfoundry.scene.lengths import length
+
+    depth = enclosed_depth(terms.view, a, b)
+    share = f"{ENCLOSED:.0%} of `{a.name}`"
+
+    def text(v: float, ok: bool) -> str:
+        if not np.isfinite(v):
+            return f"`{b.name}` is turned so that it cannot contain an object"
+        where = "deep in the cavity" if ok else "outside of the cavity"
+        return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
+
+    terms.require(depth, np.where(np.isfinite(depth), depth, -FAR), text)
+    terms.require_at_rest(a)
+    terms.require_not_held(a)
+
+
+INSIDE = Predicate(
+    "Inside",
+    "the first is in the cavity of the second",
+    ("thing", "thing"),
+    inside,
+    f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
+    f"{FACING_DOWN_DEG:g} deg away from up; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it",
+    effect=Effect.PLACE,
+    aliases=("inside", "In", "InsideAABB"),
+)

@@ -1,0 +1,100 @@
+"""``Grasped``, ``Lifted`` and ``Released``: an object and the robots that may hold it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simfoundry.predicates.judging.thresholds import PRESS, SETTLED, TOUCH
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Entity
+    from simfoundry.predicates.judging.judge import Terms
+
+
+def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
+    """Require that the fingers of one gripper touch ``a`` on both sides and press against each other."""
+    from simfoundry.predicates.judging.bodies import PredicateError
+    from simfoundry.predicates.judging.fingers import grip_margin
+
+    hands = terms.context.hands
+    if robot is not None:
+        hands = {robot.owner: hands[robot.owner]} if robot.owner in hands else {}
+        if not hands:
+            raise PredicateError(f"`{robot.name}` is not a robot with a gripper")
+    held = grip_margin(terms.view, terms.context.distances, hands.values(), a)
+    terms.require(held, held, lambda v, ok: f"`{a.name}` is held" if ok else f"`{a.name}` is not held")
+
+
+GRASPED = Predicate(
+    "Grasped",
+    "it is held, by the named robot or by any",
+    ("thing", "robot"),
+    grasped,
+    f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
+    f"toward the other reduces its distance to `a`, or increases its penetration, by at least {PRESS * 500:g} mm",
+    optional=1,
+    effect=Effect.GRASP,
+    aliases=("grasped", "IsGrasping"),
+    robot_first=("grasped", "IsGrasping"),
+    before_motion=False,
+)
+
+
+RISE = 0.02
+"""Least rise [m] above the initial height: well above that of a pushed or tilted object, below that of a short lift."""
+
+
+def lifted(terms: Terms, a: Entity) -> None:
+    """Require that ``a`` is higher than at the start and touches no object except those that it supports."""
+    from functools import partial
+
+    from simfoundry.predicates.judging.measurements import gap_to_others
+    from simfoundry.scene.lengths import length
+
+    rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
+
+    def text(v: float, _: bool) -> str:
+        return f"`{a.name}` is {length(abs(v))} {'higher' if v >= 0 else 'lower'} than at the start"
+
+    terms.require(rise, rise - RISE, text)
+    terms.require_if_open(
+        partial(gap_to_others, terms.context, a),
+        lambda v: v - TOUCH,
+        lambda v, ok: f"`{a.name}` touches " + ("no other object" if ok else "another object"),
+    )
+
+
+LIFTED = Predicate(
+    "Lifted",
+    "it is lifted off its support",
+    ("thing",),
+    lifted,
+    f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the scene, and no object is within "
+    f"{TOUCH * 1000:g} mm of it except those that it supports",
+    effect=Effect.GRASP,
+    aliases=("lifted", "Up"),
+    before_motion=False,
+)
+
+
+def released(terms: Terms, a: Entity) -> None:
+    """Require that ``a`` is at rest and farther than :data:`TOUCH` from every robot."""
+    terms.require_at_rest(a)
+    for name in terms.context.bodies.robots:
+        robot = terms.context.bodies.thing(name)
+        terms.require_if_open(
+            lambda view, robot=robot: terms.context.distances.between(view, a, robot, TOUCH),  # type: ignore[misc]
+            lambda v: v - TOUCH,
+            lambda v, ok, robot=robot: terms.gap_text(a, robot, v),  # type: ignore[misc]
+        )
+
+
+RELEASED = Predicate(
+    "Released",
+    "no robot touches it and it is at rest",
+    ("thing",),
+    released,
+    f"no robot is within {TOUCH * 1000:g} mm of `a`, and `a` moves no faster than {SETTLED * 100:g} cm/s",
+    before_motion=True,
+)

@@ -1,0 +1,304 @@
+"""Measurements of single predicates: support from below, depth in a cavity, and parts met by plumb lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.cavity import Cavity, cavity_upward
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.plumb_lines import SEAM, chords_of
+from simfoundry.geometry.poses import Index, Poses, rotate
+from simfoundry.geometry.volume_samples import volume_samples
+from simfoundry.predicates.judging.bodies import Entity
+from simfoundry.predicates.judging.judge import Context
+from simfoundry.predicates.judging.thresholds import (
+    CLOSE,
+    ENCLOSED,
+    FACING_DOWN_DEG,
+    FRICTION_SHARE,
+    SUPPORT_DEG,
+    TOUCH,
+)
+from simfoundry.predicates.judging.view import View, over
+from simfoundry.scene.lengths import length
+
+
+class Meeting(NamedTuple):
+    """Depths of the plumb lines of one entity in the parts of another over and under it [m], (n,) each.
+
+    Each is the smaller of two values: the depth of the line within the other's outline, and the distance on that line
+    by which the other extends beyond the end of the first. Negative if nothing is hit.
+    """
+
+    over: Array
+    under: Array
+
+
+def meet(view: View, a: Entity, b: Entity) -> Meeting:
+    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` intersects outside of ``a``."""
+    points = view.boxes(a).middle
+    over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
+    found = list(_chords_of(view, points, b))
+    for state, within, _, _ in found:
+        np.maximum.at(over, state, within)
+    met = np.flatnonzero(over > 0)
+    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
+    if len(met):
+        low, high = _own_ends(view.at(met), points[met], a)
+        row = np.full(view.n, -1)
+        row[met] = np.arange(len(met))
+        over[met] = under[met] = -np.inf
+        for state, within, bottom, top in found:
+            some = np.flatnonzero(row[state] >= 0)
+            at = row[state[some]]
+            np.maximum.at(over, state[some], np.minimum(within[some], top[some] - high[at]))
+            np.maximum.at(under, state[some], np.minimum(within[some], low[at] - bottom[some]))
+    return Meeting(over, under)
+
+
+def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
+    """Ends of plumb lines through points in the entity itself, over the points [m], (n,); 0 if they miss it."""
+    low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
+    for state, within, bottom, top in _chords_of(view, points, a):
+        met = within > 0
+        np.minimum.at(low, state[met], bottom[met])
+        np.maximum.at(high, state[met], top[met])
+    return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
+
+
+def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index, Array, Array, Array]]:
+    """Chords of plumb lines in each link of an entity; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
+    for k, form in view.forms(thing):
+        found = chords_of(form, view.link(thing.owner, k), points)
+        if len(found[0]):
+            yield found
+
+
+def _beside(view: View, points: Array, b: Entity) -> Array:
+    """Distance of points along the ground from the middle of an entity's bounding box [m], (n,)."""
+    return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
+
+
+SAMPLES = 64
+"""Number of sample points of an object whose depth is measured."""
+
+
+def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
+    """Cavities of an entity's links in their current orientations: the index of the link, and its states.
+
+    The up axis of a cavity is the link axis nearest to up.
+    """
+    found = []
+    for k in view.bodies.hollow_links(b):
+        form = view.bodies[b.owner].forms[k]
+        assert form is not None
+        up = view.link(b.owner, k).R[:, 2]
+        axes = np.abs(up).argmax(axis=1)
+        upward = np.take_along_axis(up, axes[:, None], axis=1)[:, 0] > 0
+        for axis, sign in sorted(set(zip(axes.tolist(), np.where(upward, 1, -1).tolist(), strict=True))):
+            if (hole := cavity_upward(form, axis, sign)) is not None:
+                found.append((k, hole, np.flatnonzero((axes == axis) & (upward == (sign > 0)))))
+    return found
+
+
+def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
+    """Depth [m] of the share :data:`ENCLOSED` of ``a`` in a cavity of ``b`` that is not turned down, (n,).
+
+    -inf if ``b`` is turned so that it cannot contain anything.
+    """
+    out = np.full(view.n, -np.inf)
+    for k, hole, states in held_upward(view, b):
+        some = view if len(states) == view.n else view.at(states)
+        depth = depth_in(some, a, k, b.owner, hole)
+        if hole.out.any():
+            depth = np.minimum(depth, 10 * facing(some, k, b.owner, hole))
+        out[states] = np.maximum(out[states], depth)
+    return out
+
+
+def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
+    """Depth [m] that the share :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity, (n,).
+
+    Negative outside the cavity: the distance, or a bound of it if all of ``a`` is far outside.
+    """
+    X_WB = view.link(owner, k)
+    out = np.full(view.n, np.inf)
+    middle = X_WB.p + X_WB.R @ hole.middle
+    forms = view.forms(a)
+    for j, form in forms:  # the bounding balls decide most states
+        X_WA = view.link(a.owner, j)
+        center, radius = form.ball
+        gap = np.linalg.norm(X_WA.p + X_WA.R @ center - middle, axis=1) - radius - hole.size
+        out = np.minimum(out, gap)
+    out = -out
+    near = np.flatnonzero(out >= 0)
+    if len(near):
+        counts = _counts(view, a)
+        depths = []
+        X_BW = X_WB.at(near).inverse()
+        for (j, form), count in zip(forms, counts, strict=True):
+            if count:
+                X_BA = X_BW @ view.link(a.owner, j).at(near)
+                points = volume_samples(form, count) @ X_BA.R.transpose(0, 2, 1) + X_BA.p[:, None]
+                depths.append(hole.at(points))
+        every = np.concatenate(depths, axis=1)
+        rank = every.shape[1] - int(np.ceil(ENCLOSED * every.shape[1]))
+        out[near] = np.partition(every, rank, axis=1)[:, rank]
+    return out
+
+
+def _counts(view: View, a: Entity) -> list[int]:
+    """Number of samples of each link, in proportion to its mass."""
+    forms = view.forms(a)
+    if len(forms) == 1:
+        return [SAMPLES]
+    links = view.bodies[a.owner].item.links
+    masses = np.array([links[k].mass for k, _ in forms])
+    return [max(1, round(SAMPLES * float(m))) for m in masses / masses.sum()]
+
+
+def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
+    """Margin before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
+    X_WB = view.link(owner, k)
+    up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
+    return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))
+
+
+def least_cosine(context: Context, a: Entity, b: Entity) -> float:
+    """Least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
+    friction = math.sqrt(_friction(context, a) * _friction(context, b))
+    return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
+
+
+def _friction(context: Context, thing: Entity) -> float:
+    """Mean friction coefficient of an entity's colliders; 0 if it has none."""
+    links = context.bodies[thing.owner].item.links
+    found = [collider.friction for k in thing.links for collider in links[k].colliders]
+    return sum(found) / len(found) if found else 0.0
+
+
+class SupportContact:
+    """Distance and push between two entities, measured together in the states that are still undecided."""
+
+    def __init__(self, context: Context, a: Entity, b: Entity) -> None:
+        self.context, self.a, self.b = context, a, b
+        self.least_cosine = least_cosine(context, a, b)
+        self._up: Array = np.zeros(0)
+        self._rival: NDArray[np.bool_] = np.zeros(0, bool)
+
+    def gap(self, view: View) -> Array:
+        """Return the distance [m], (n,); store the push, and the states in which a closer object supports ``a``."""
+        support = self.context.distances.support
+        gap, up = support(view, self.a, self.b, CLOSE, self.least_cosine)
+        self._rival = np.zeros(view.n, bool)
+        loose = np.flatnonzero(gap > CLOSE)
+        if len(loose):
+            some = view.at(loose)
+            gap[loose], up[loose] = support(some, self.a, self.b, TOUCH, self.least_cosine)
+            near = loose[gap[loose] < TOUCH]
+            for other in self.context.others(self.a, self.b) if len(near) else ():
+                self._rival[near] |= _supports(self.context, view.at(near), other, self.a, CLOSE)
+        self._up = up[self.margin(gap) > 0]
+        return gap
+
+    def margin(self, gap: Array) -> Array:
+        """Return the margin [m] of the distances that :meth:`gap` returned, (n,)."""
+        return np.asarray(np.where(self._rival, CLOSE, TOUCH) - gap)
+
+    def push(self, _: View) -> Array:
+        """Return the cosine between up and the push in the states with a positive margin."""
+        return self._up
+
+
+def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
+    """Distance of the center of mass of ``a`` from the edge of the outline of ``b``, positive inside [m], (n,).
+
+    If the center of mass is beside ``b`` and another object touches ``a`` too, the margin of that contact instead.
+    """
+    within = over(center_of_mass(view, a), view.boxes(b))
+    for other in context.others(a, b):
+        left = np.flatnonzero(within <= 0)
+        if len(left):
+            gap = context.distances.between(view.at(left), a, other, TOUCH)
+            within[left] = np.where(gap < TOUCH, TOUCH - gap, within[left])
+    return within
+
+
+def center_of_mass(view: View, a: Entity) -> Array:
+    """Center of mass of an entity [m], (n, 3); the middle of its bounding box if it has no mass."""
+    links = view.bodies[a.owner].item.links
+    masses = [links[k].mass for k in a.links]
+    if sum(masses) <= 0:
+        return view.boxes(a).middle
+    total = np.zeros((view.n, 3))
+    for k, mass in zip(a.links, masses, strict=True):
+        X_WL: Poses = view.link(a.owner, k)
+        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
+    return total
+
+
+def balance_text(a: Entity, b: Entity, value: float) -> str:
+    """Explain :func:`balance`."""
+    if value > 0:
+        return f"it supports `{a.name}`"
+    return (
+        f"`{a.name}` would fall: its center of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
+    )
+
+
+def push_text(a: Entity, b: Entity, cosine: float) -> str:
+    """Explain why the push of ``b`` does not support ``a``."""
+    if cosine < 0:
+        return f"`{b.name}` is over `{a.name}`, not under it"
+    off = np.degrees(np.arccos(min(cosine, 1.0)))
+    return f"`{b.name}` pushes `{a.name}` sideways, {off:.0f} deg from straight up"
+
+
+def gap_to_others(context: Context, a: Entity, view: View) -> Array:
+    """Distance of ``a`` from the nearest object that it does not support [m], (n,)."""
+    others = context.others(a)
+    gaps = {b: context.distances.between(view, a, b, TOUCH) for b in others}
+    load = supported_by(context, view, a, gaps)
+    found = [np.where(load[b], np.inf, gap) for b, gap in gaps.items()]
+    return np.asarray(np.min([*found, np.full(view.n, np.inf)], axis=0))
+
+
+def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
+    """Objects that ``a`` supports, directly or indirectly, (n,) each; ``gaps`` [m] are their distances from it.
+
+    Measured only in the states in which something touches ``a``.
+    """
+    load = {b: np.zeros(view.n, bool) for b in gaps}
+    touched = np.flatnonzero(np.any([gap <= TOUCH for gap in gaps.values()], axis=0)) if gaps else np.zeros(0, np.int64)
+    if not len(touched):
+        return load
+    some = view.at(touched)
+    found = {b: np.zeros(some.n, bool) for b in gaps}
+    for b, gap in gaps.items():
+        met = np.flatnonzero(gap[touched] <= TOUCH)
+        if len(met):
+            found[b][met] = _supports(context, some.at(met), a, b)
+    pending = [b for b, values in found.items() if values.any()]
+    while pending:
+        below = pending.pop()
+        for b in gaps:
+            left = np.flatnonzero(found[below] & ~found[b])
+            if b != below and len(left):
+                new = left[_supports(context, some.at(left), below, b)]
+                found[b][new] = True
+                pending += [b] if len(new) else []
+    for b, values in found.items():
+        load[b][touched] = values
+    return load
+
+
+def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
+    """True if ``a`` is no farther than ``limit`` [m] from ``b`` and ``b`` pushes it up, (n,)."""
+    cosine = least_cosine(context, b, a)
+    gap, up = context.distances.support(view, b, a, limit, cosine)
+    return np.asarray((gap <= limit) & (up >= cosine))

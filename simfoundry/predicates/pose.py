@@ -1,0 +1,104 @@
+"""``At``, ``Upright``, ``Open`` and ``Closed``: the pose of one object, or the position of its joints."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Entity, Joints
+    from simfoundry.predicates.judging.judge import Terms
+
+AT_DISTANCE = 0.02
+"""Largest distance [m] from the point: about half the width of an object that a gripper can grasp."""
+
+
+def at(terms: Terms, a: Entity, *point: float) -> None:
+    """Require that the frame of ``a`` is near ``point`` [m], with two or three world coordinates."""
+    import numpy as np
+
+    from simfoundry.scene.lengths import length
+
+    off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
+    terms.require(off, AT_DISTANCE - off, lambda v, ok: f"`{a.name}` is {length(v)} from the point")
+
+
+AT = Predicate(
+    "At",
+    "the object is at x, y and, if given, z in the world [m]",
+    ("thing", "number", "number", "number"),
+    at,
+    f"the origin of `a` is at most {AT_DISTANCE * 100:g} cm from the point; without z, in the horizontal plane",
+    optional=1,
+    effect=Effect.MOVE,
+)
+
+
+UPRIGHT_DEG = 10.0
+"""Largest tilt [deg]: standing objects tilt less after settling, fallen objects far more."""
+
+
+def upright(terms: Terms, a: Entity) -> None:
+    """Require that the angle between the z axis of ``a`` and up is at most :data:`UPRIGHT_DEG`."""
+    import numpy as np
+
+    z = terms.view.frame(a).R[:, :, 2]
+    lean = np.degrees(np.arctan2(np.hypot(z[:, 0], z[:, 1]), z[:, 2]))
+    terms.require(lean, UPRIGHT_DEG - lean, lambda v, ok: f"`{a.name}` leans by {v:.1f} deg")
+
+
+UPRIGHT = Predicate(
+    "Upright",
+    "its z axis points up",
+    ("thing",),
+    upright,
+    f"the z axis of `a` is at most {UPRIGHT_DEG:g} deg from vertical",
+    unit="deg",
+    aliases=("upright",),
+)
+
+
+OPEN_SHARE = 0.10
+"""Share of a joint's range from its closed end beyond which it counts as open (OmniGibson's rule)."""
+
+
+def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
+    """Require that each joint is open by more than :data:`OPEN_SHARE`, or by no more than that if ``closed``."""
+    import numpy as np
+
+    for joint in joints.joints:
+        assert joint.limits is not None
+        reach = joint.limits[1] - joint.limits[0]
+        share = np.abs(terms.view.position(joints.owner, joint) - joint.closed_position) / reach
+        margin = (share - OPEN_SHARE) * reach
+        if closed:
+            margin = np.where(margin == 0, np.nextafter(0.0, 1.0), -margin)  # the threshold itself counts as closed
+        name = f"{joints.owner}.{joint.name}"
+        terms.require(share, margin, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range")  # type: ignore[misc]
+
+
+OPEN = Predicate(
+    "Open",
+    "the joint, or every joint of the object, is open",
+    ("joint",),
+    partial(_opening, False),
+    f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits. The closed end is the limit that the joint's key `closed` names, or else zero, or the limit that is "
+    "closest to zero",
+    unit="m or rad",
+    effect=Effect.JOINT,
+    aliases=("open",),
+)
+CLOSED = Predicate(
+    "Closed",
+    "the joint, or every joint of the object, is closed",
+    ("joint",),
+    partial(_opening, True),
+    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
+    "has limits",
+    unit="m or rad",
+    effect=Effect.JOINT,
+    aliases=("closed", "Close"),
+)

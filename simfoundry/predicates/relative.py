@@ -1,0 +1,165 @@
+"""``LeftOf``, ``RightOf``, ``InFrontOf``, ``Behind``, ``NextTo``, ``Above`` and ``Under``: relative positions."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.geometry.frames import Array, Pose
+    from simfoundry.predicates.judging.bodies import Entity
+    from simfoundry.predicates.judging.judge import Terms
+    from simfoundry.predicates.judging.view import View
+
+AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
+"""Axis of the viewer's frame (0 away, 1 left) and the sign along it."""
+
+
+def viewer_axis(viewer: Pose | None, column: int) -> Array:
+    """Horizontal unit vector away from the viewer (0) or to its left (1), shape (3,)."""
+    import numpy as np
+
+    x, y = (1.0, 0.0) if viewer is None else viewer.rotation[:2, 0]
+    size = float(np.hypot(x, y))
+    away = np.array([1.0, 0.0, 0.0]) if size < LEVEL else np.array([x, y, 0.0]) / size
+    return away if column == 0 else np.cross([0.0, 0.0, 1.0], away)
+
+
+LEVEL = 1e-6
+"""Length of the horizontal part of a unit vector below which the viewer looks straight up or down."""
+
+
+def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
+    """Require that the middle of each object is beyond the other's edge along the axis of ``name``."""
+    import numpy as np
+
+    from simfoundry.scene.lengths import length
+
+    column, sign = AXES[name]
+    axis = sign * viewer_axis(terms.context.bodies.scene.viewer, column)
+    (low_a, high_a), (low_b, high_b) = terms.view.span(a, axis), terms.view.span(b, axis)
+    off = (low_a + high_a - low_b - high_b) / 2
+    half = np.maximum(high_a - low_a, high_b - low_b) / 2
+
+    def text(v: float, ok: bool) -> str:
+        if ok:
+            return f"`{a.name}` is {words} `{b.name}`: each middle is {length(v)} or more beyond the other's edge"
+        return f"`{a.name}` is not {words} `{b.name}`: their middles are {length(-v)} short of being side by side"
+
+    terms.require(off - half, off - half, text)
+
+
+def _side(name: str, alias: str, meaning: str) -> Predicate:
+    return Predicate(
+        name,
+        meaning,
+        ("thing", "thing"),
+        partial(_beside, name, alias.replace("_", " ")),
+        "in the named direction, as seen from the viewpoint, the middle of `a` is beyond all of `b`, and all of `a` is "
+        "beyond the middle of `b`",
+        effect=Effect.MOVE,
+        aliases=(alias,),
+    )
+
+
+LEFT_OF = _side("LeftOf", "left_of", "the first is left of the second, seen from the viewpoint")
+RIGHT_OF = _side("RightOf", "right_of", "the first is right of the second, seen from the viewpoint")
+IN_FRONT_OF = _side("InFrontOf", "in_front_of", "the first is nearer to the viewpoint than the second")
+BEHIND = _side("Behind", "behind", "the first is farther from the viewpoint than the second")
+
+
+NEAR_SHARE = 1 / 6
+"""Largest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
+
+
+def next_to(terms: Terms, a: Entity, b: Entity) -> None:
+    """Require overlapping heights, a gap that is small relative to the sizes, and that neither is above the other."""
+    import numpy as np
+
+    from simfoundry.predicates.judging.view import ground_gap, over
+    from simfoundry.scene.lengths import length
+
+    def spare_gap(view: View) -> Array:
+        boxes = view.boxes(a), view.boxes(b)
+        near = NEAR_SHARE * (boxes[0].size + boxes[1].size)
+        apart = np.hypot(*(boxes[0].middle - boxes[1].middle)[:, :2].T) - boxes[0].reach - boxes[1].reach
+        close = np.flatnonzero(apart < near)
+        if len(close):
+            apart[close] = ground_gap(view.at(close), a, b)
+        return np.asarray(near - apart)
+
+    def overlap(view: View) -> Array:
+        one, other = view.boxes(a), view.boxes(b)
+        return np.asarray(np.maximum(over(one.middle, other), over(other.middle, one)))
+
+    def gap_text(v: float, ok: bool) -> str:
+        nearer = "nearer to" if ok else "farther from"
+        return f"`{a.name}` is {length(abs(v))} {nearer} `{b.name}` than side by side allows"
+
+    (low_a, high_a), (low_b, high_b) = terms.view.heights(a), terms.view.heights(b)
+    level = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
+    terms.require(level, level, lambda v, ok: "" if ok else f"one is {length(-v)} higher than the other")
+    terms.require_if_open(spare_gap, lambda v: v, gap_text)
+    terms.require_if_open(overlap, lambda v: -v, lambda v, ok: "" if ok else f"one is over the other, by {length(v)}")
+
+
+NEXT_TO = Predicate(
+    "NextTo",
+    "the two stand side by side",
+    ("thing", "thing"),
+    next_to,
+    "their horizontal gap is at most a sixth of the sum of their mean extents, their height ranges overlap, and "
+    "neither is over the other",
+    effect=Effect.MOVE,
+    aliases=("nextto", "next_to"),
+)
+
+
+def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> None:
+    """Require that ``b`` is on one ``side`` of the middle of ``a``, ``over`` or ``under``, and not on the other."""
+    import numpy as np
+
+    from simfoundry.predicates.judging.measurements import Meeting, meet
+    from simfoundry.predicates.judging.view import over
+    from simfoundry.scene.lengths import length
+
+    beside = over(terms.view.boxes(a).middle, terms.view.boxes(b))
+    terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} beside `{b.name}`")
+    met: list[Meeting] = []
+
+    def wanted(view: View) -> Array:
+        met.append(meet(view, a, b))
+        return np.asarray(getattr(met[-1], side))
+
+    def excluded(_: View) -> Array:
+        first, second = (np.asarray(getattr(met[-1], one)) for one in (side, opposite))
+        return np.asarray(second[first > 0])
+
+    terms.require_if_open(
+        wanted,
+        lambda v: v,
+        lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}straight {side} the middle of `{a.name}`",
+    )
+    terms.require_if_open(excluded, lambda v: -v, lambda v, ok: "" if ok else f"`{b.name}` is also {opposite} it")
+
+
+ABOVE = Predicate(
+    "Above",
+    "the first is above the second, touching or not",
+    ("thing", "thing"),
+    partial(_vertical, "under", "over"),
+    "the plumb line through the middle of `a` intersects `b` below `a` and not above it; `a` may be held",
+    effect=Effect.MOVE,
+    aliases=("above", "AboveAABB"),
+)
+UNDER = Predicate(
+    "Under",
+    "the first is below the second",
+    ("thing", "thing"),
+    partial(_vertical, "over", "under"),
+    "the plumb line through the middle of `a` intersects `b` above `a` and not below it; `a` may be held",
+    effect=Effect.MOVE,
+    aliases=("under",),
+)
