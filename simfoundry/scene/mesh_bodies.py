@@ -26,8 +26,7 @@ from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import closed_mesh
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.bodies import GRAY, MeshUse
 from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose

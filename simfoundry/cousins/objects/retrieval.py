@@ -22,8 +22,7 @@ from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array
-from simfoundry.geometry.shapes import Mesh
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Mesh, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError
