@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.api.load import load_scene_document
+from simfoundry.api import scenes
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import open_policy, parse_policy
@@ -148,7 +148,7 @@ def test_import_reads_the_format_of_the_package(tmp_path: Path) -> None:
     assert done.code == 0, done.out + done.err
     assert done.json["format"] == "boxes" and done.json["bodies"] == 2
     assert "1 of 1 imported" in run("import", tmp_path, "-o", tmp_path / "out").out
-    assert load_scene_document(tmp_path / "shelf.boxes").objects["book"].pose.xyz == (0.1, 0.0, 0.12)
+    assert scenes.load(tmp_path / "shelf.boxes").objects["book"].pose.xyz == (0.1, 0.0, 0.12)
     (tmp_path / "shelf.boxes").write_text("board 0 0 0.01 0.5 0.3\n")
     refused = run("import", tmp_path / "shelf.boxes", "--force", "-o", tmp_path / "shelf.scene.yaml")
     assert refused.code == 2 and "shelf.boxes:1: `board` has 5 numbers, not 6" in refused.err

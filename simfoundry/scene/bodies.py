@@ -17,8 +17,7 @@ from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import Faces, closed_mesh
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Faces, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.spec.models.asset import Inertial, PartSpec
 from simfoundry.spec.models.base import (

@@ -14,7 +14,7 @@ from simfoundry.assets import mesh_summary as module
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MAX_BYTES, MeshError
 from simfoundry.assets.mesh_summary import MeshFacts, measure, mesh_facts
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
@@ -150,7 +150,7 @@ def test_a_second_check_reads_no_mesh(tmp_path: Path) -> None:
     path = scene(tmp_path, "cube.obj", "")
     code = (
         "import sys; from pathlib import Path\n"
-        "from simfoundry.lint.run import lint; from simfoundry.spec.load import load\n"
+        "from simfoundry.lint.lints import lint; from simfoundry.spec.load import load\n"
         f"lint(load(Path({str(path)!r})))\n"
         "print(*sorted({'numpy', 'trimesh', 'scipy'} & set(sys.modules)))"
     )

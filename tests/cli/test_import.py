@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from simfoundry.cli.import_ import command
+from simfoundry.cli.convert import import_command
 
 GOOD = """<robot name="cup"><link name="Cup"><inertial><mass value="0.2"/>
   <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -16,7 +16,7 @@ GOOD = """<robot name="cup"><link name="Cup"><inertial><mass value="0.2"/>
 
 
 def _run(*arguments: object) -> Result:
-    return CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False)
+    return CliRunner().invoke(import_command, [str(a) for a in arguments], standalone_mode=False)
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Restore scenes from compiled MJCF, whose names and custom fields contain what MJCF cannot express.
 
-See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the fields.
+See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.surroundings` for the fields.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.backends.mjcf.custom import MARK
+from simfoundry.backends.mjcf.surroundings import MARK
 from simfoundry.frontends.draft import BodyDraft, JointDraft, LightDraft, LinkPath, ModelDraft, robot_draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mjcf.elements import read_camera, split_color

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.usd.cameras import X_CU
-from simfoundry.backends.usd.lights import FULL
+from simfoundry.backends.usd.surroundings import FULL, X_CU
 from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, ModelDraft
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.scene.model import LightType

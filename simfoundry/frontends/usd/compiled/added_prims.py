@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.backends.usd.cameras import X_CU
-from simfoundry.backends.usd.lights import FULL
+from simfoundry.backends.usd.surroundings import FULL, X_CU
 from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
 from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb

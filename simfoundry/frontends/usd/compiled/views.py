@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
-from simfoundry.backends.usd.lights import FULL
+from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
 from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
 from simfoundry.frontends.usd.views import LIGHTS
