@@ -87,6 +87,7 @@ class Policy(Protocol):
 
     def close(self) -> None:
         """Release all resources."""
+        return
 
 
 class PolicyError(SimfoundryError):
