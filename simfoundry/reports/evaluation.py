@@ -25,8 +25,8 @@ from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
 
+# Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds.
 GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
-"""Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds."""
 
 
 @dataclass(frozen=True)
