@@ -108,7 +108,7 @@ def draw(file: Path) -> bytes | None:
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.scene import SceneSpec
-    from simfoundry.worlds.mounted import resized
+    from simfoundry.worlds.base import resized
     from simfoundry.worlds.render import render
 
     loaded = load_scene(file)
