@@ -60,7 +60,7 @@ class VerifyEngine:
 
     @property
     def build(self) -> Target:
-        """The target whose build the engine reads: the plain backend, or its own target if that has other files."""
+        """The target whose build it reads: the plain backend, unless its own target has other files or options."""
         profile = self.target.profile
         return self.target if profile.options or profile.writes else find_target(profile.backend)
 
