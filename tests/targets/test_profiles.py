@@ -218,7 +218,7 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
             "tolerances: {read_back: {value: 1, reason: none}}\ngaps:\n",
             "SF107",
             10,
-            "the tolerances are not used",
+            "tolerances have no effect without an `engine`",
         ),
         ("gaps:\n", ENGINE, "SF203", 10, "there is no file `readback.py`"),
         ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
