@@ -88,8 +88,8 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     assert "the name of a recording must end with .npy, .npz or .json" in refused(
         stored(tmp_path, ".json").rename(tmp_path / "a.txt")
     )
-    assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
-    assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".json", []))
+    assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
+    assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".json", []))
     assert "not finite" in refused(stored(tmp_path, ".npy", ACTIONS * np.nan))
     assert "actions of `torque`" in refused(stored(tmp_path, ".npz", action_space="torque"))
     for content in (b"", b"PK\x03\x04", pickle.dumps([1]), b"\x93NUMPY\x01\x00\xff\xff", b"[", b"{}"):
@@ -108,7 +108,7 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
 def test_a_recording_of_another_robot(tmp_path: Path) -> None:
     policy = load_replay(stored(tmp_path, ".npy"))
     policy.reset("", 0)
-    with pytest.raises(PolicyError, match="has 8 numbers per action, but the robots take 16"):
+    with pytest.raises(PolicyError, match="has 8 numbers per action, but the robots need 16"):
         policy.infer(observation(0, robots=2))
 
 

@@ -99,7 +99,7 @@ def test_pictures_of_earlier_steps_are_those_of_earlier_questions() -> None:
         ({"video": config(["front_view"], [0])}, "the image `front_view`, which is missing from `cameras` in tested"),
         ({"state": config(["left_hand"], [0])}, "needs the state `left_hand`; this client supports joint_position"),
         ({"action": config(["eef_9d"], [0])}, "actions do not contain `joint_position`, only eef_9d"),
-        ({"video": config(["wrist_image_left"], [-15, 0])}, "looks 15 steps back, but with `horizon: 8` there is no request"),
+        ({"video": config(["wrist_image_left"], [-15, 0])}, "15 steps back, but with `horizon: 8` there is no request"),
         ({"language": {}}, "`modality_keys` in the server's `language` is not a list of names"),
         ({"state": config(["joint_position"], [])}, "`delta_indices` in the server's `state` is not a list of steps"),
         ({"action": None}, "does not describe its `action`"),
