@@ -44,9 +44,8 @@ from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
-from simfoundry.worlds.base import World
-from simfoundry.worlds.footing import center_of_mass
-from simfoundry.worlds.mounted import camera_of
+from simfoundry.worlds.base import World, camera_of
+from simfoundry.worlds.rest import center_of_mass
 
 ARM = "demo_arm"
 """The arm used: the one that needs no download."""
