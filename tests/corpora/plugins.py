@@ -24,7 +24,7 @@ COMMANDS = {
     "verify bench.scene.yaml --engine my_sim --require my_sim --no-behaviors": "my_sim",
     "eval lift.task.yaml -p hold=my_protocol:localhost?action_space=joint_position -n 1 --no-video -o out": "hold",
 }  # each command with a text that its output contains
-MATRIX = "from simfoundry.targets.support import support_page; print(support_page())"
+MATRIX = "from simfoundry.targets.generated import support_page; print(support_page())"
 
 
 def main() -> int:
