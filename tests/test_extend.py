@@ -15,7 +15,7 @@ from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import open_policy, parse_policy
 from simfoundry.spec.models.policy import PolicySpec
-from simfoundry.spec.models.robot_file import find_robot, robot_names
+from simfoundry.spec.models.robot import find_robot, robot_names
 from simfoundry.targets.find import find_target, target_names
 from simfoundry.targets.support import support_page
 from tests.cli.command import run

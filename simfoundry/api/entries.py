@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeV
 from pydantic import TypeAdapter
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.diff.renames import copied
+from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.change.edit_text import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.data import to_data
+from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
     from simfoundry.api.document import EditableDocument

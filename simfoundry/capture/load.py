@@ -13,7 +13,7 @@ from simfoundry.capture.frame import Frame
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
 NEAR, FAR = 0.1, 5.0

@@ -33,7 +33,7 @@ from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.spec.models.base import Origin
-from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import LightSpec, SceneSpec
 
 Progress = Callable[[str, float], None]

@@ -17,8 +17,8 @@ from simfoundry.spec.check.report import FORMATS
 
 if TYPE_CHECKING:
     from simfoundry.spec.check.report import Checked
+    from simfoundry.spec.files import Loaded
     from simfoundry.spec.load import Known
-    from simfoundry.spec.loaded import Loaded
 
 MANY = 100
 """Number of documents from which a terminal shows a progress bar."""

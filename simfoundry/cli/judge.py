@@ -22,7 +22,7 @@ def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState
-    from simfoundry.spec.models.expressions import ExpressionError, parse_call
+    from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
     lowered = lower_scene(scene, as_json)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)

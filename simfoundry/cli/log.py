@@ -12,7 +12,7 @@ from simfoundry.cli.output import CannotError, print_json, subcommand
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.spec.change.git.history import HistoryEntry
+    from simfoundry.spec.change.git.arguments import HistoryEntry
 
 
 @subcommand()

@@ -119,7 +119,7 @@ def _by_lines(args: Sequence[str]) -> int:
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
     from simfoundry.runtime.files import ensure_replaceable
-    from simfoundry.spec.change.merge.resolve import resolve
+    from simfoundry.spec.change.merge.texts import resolve
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load
     from simfoundry.spec.models.kinds import KINDS, model_of

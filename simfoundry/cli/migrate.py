@@ -20,7 +20,7 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     its version.
     """
     from simfoundry.runtime.files import write_atomically
-    from simfoundry.spec.change.migrate import migrated
+    from simfoundry.spec.change.format import migrated
     from simfoundry.spec.diagnostics import Diagnostic, SpecError
     from simfoundry.spec.yaml.nodes import YamlError
     from simfoundry.spec.yaml.text import read

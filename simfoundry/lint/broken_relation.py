@@ -8,7 +8,7 @@ from simfoundry.lint.certainty import StartJudge
 from simfoundry.lint.lints import Lint, Subject
 from simfoundry.lint.report import warning
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import parse_call
 
 
 def broken_relations(subject: Subject) -> Iterator[Diagnostic]:

@@ -9,7 +9,7 @@ from simfoundry.lint.draft import DraftScene
 from simfoundry.predicates.judging.bodies import NoCavityError, PredicateError
 from simfoundry.predicates.judging.judge import Judge
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 
 HULL_DECIDES = ("LeftOf", "RightOf", "Behind", "InFrontOf", "NextTo", "At", "Upright", "Open", "Closed")
 """Predicates that measure only extents and poses: the hull of an object gives the same result as its parts."""

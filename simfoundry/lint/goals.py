@@ -8,7 +8,7 @@ from typing import Any
 from simfoundry.lint.certainty import StartJudge
 from simfoundry.lint.lints import Subject
 from simfoundry.lint.report import Path_
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 
 
 def pending(subject: Subject) -> list[tuple[Call, Path_]]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from simfoundry.runtime.plugins import Registry
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import Call
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.predicate import Call
 
 if TYPE_CHECKING:
     from simfoundry.lint.draft import DraftScene

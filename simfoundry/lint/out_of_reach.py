@@ -16,8 +16,7 @@ from simfoundry.robots.reach import Hand, Miss, hands_of, nearest_miss
 from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import Call
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Call, Effect
 
 
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:

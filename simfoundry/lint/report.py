@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 
 Path_ = tuple[str | int, ...]
 

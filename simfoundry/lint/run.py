@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from simfoundry.spec.check.allow import sift, unused
+from simfoundry.spec.check.documents import sift, unused
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 
 
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:

@@ -10,8 +10,7 @@ from simfoundry.lint.draft import drafted
 from simfoundry.lint.lints import Lint, Subject
 from simfoundry.lint.report import Path_, warning
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import parse_call, texts
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Effect, parse_call, texts
 
 INDEPENDENT = (Effect.NONE, Effect.JOINT, Effect.GRASP)
 """Effects of predicates that do not depend on the poses that a reset samples."""

@@ -22,7 +22,7 @@ from simfoundry.predicates.relative import viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
-from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.spec.models.predicate import parse_call, texts
 
 DOUBTED = 2
 """Factor on the number of drops before an object that can only partly fit is rejected. A pose that succeeds once in

@@ -19,7 +19,7 @@ from simfoundry.geometry.volume_samples import volume_samples
 from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 
 EDGE = 0.003
 """Maximum distance of a foot from an edge that it rests on [m]; a dropped object keeps a gap of 1 mm."""

@@ -22,7 +22,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.models.expressions import Condition, parse_call, texts
+from simfoundry.spec.models.predicate import Condition, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld

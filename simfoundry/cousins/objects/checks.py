@@ -26,11 +26,9 @@ from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds, solid
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
-from simfoundry.spec.models.expressions import Call, parse_call, texts
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.predicate import Effect
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.check.checker import HEAVIEST, LIGHTEST
+from simfoundry.spec.models.predicate import Call, Effect, parse_call, texts
+from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle

@@ -29,8 +29,7 @@ from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.validate import validate
-from simfoundry.spec.files import ASSET_SUFFIX, located
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import ASSET_SUFFIX, Loaded, located
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec

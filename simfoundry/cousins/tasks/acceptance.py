@@ -13,7 +13,7 @@ from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call, texts
+from simfoundry.spec.models.predicate import Call, ExpressionError, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 
 MOST_PREDICATES = 16

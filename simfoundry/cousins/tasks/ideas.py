@@ -14,7 +14,7 @@ from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, 
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.kinematics import weld_groups
-from simfoundry.spec.models.expressions import Call, parts
+from simfoundry.spec.models.predicate import Call, parts
 
 TOGETHER = 3
 """Maximum number of objects placed together at one target."""

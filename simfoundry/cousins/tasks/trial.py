@@ -16,7 +16,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint
 from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve
 from simfoundry.scene.state import SceneState, object_at
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 from simfoundry.worlds import open_world
 
 OVERLAP = 0.002

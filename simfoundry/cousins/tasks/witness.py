@@ -22,7 +22,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parts
+from simfoundry.spec.models.predicate import Call, parts
 
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")

@@ -14,10 +14,9 @@ from typing import Any
 
 import yaml
 
-from simfoundry.spec.change.diff.changes import Add, Change, Remove, Reorder, Set, diff, members
-from simfoundry.spec.change.diff.renames import Path_, Rename, same
+from simfoundry.spec.change.diff.changes import Add, Change, Path_, Remove, Rename, Reorder, Set, diff, members, same
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.order import KeyOrder, key_order
+from simfoundry.spec.models.types import KeyOrder, key_order
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.spelling import call
 from simfoundry.spec.yaml.text import Document, parse

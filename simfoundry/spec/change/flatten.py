@@ -7,10 +7,8 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from simfoundry.spec.compose import EXCLUSIVE
-from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.order import field_order
-from simfoundry.spec.models.types import Pattern, file_patterns
+from simfoundry.spec.models.base import EXCLUSIVE, DocumentSpec, Model
+from simfoundry.spec.models.types import Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import write_tree
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, PoseSpec, Positive
-from simfoundry.spec.models.expressions import Condition
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import JointPosition
+from simfoundry.spec.models.predicate import Condition
+from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
 
 Instruction = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Cells = Annotated[int, Field(ge=1, le=100)]
@@ -90,3 +90,16 @@ class TaskSpec(DocumentSpec):
         600, description="Maximum number of control steps, after which the task has failed."
     )
     origin: Origin | None = Field(None, description="Origin of the task.")
+
+
+def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
+    """Return the document with its objects moved as the starts specify; later starts override earlier ones."""
+    objects = dict(spec.objects)
+    for start in starts:
+        for name, place in start.place.items():
+            objects[name] = objects[name].model_copy(update={"place": place})
+        for name, pose in start.pose.items():
+            objects[name] = objects[name].model_copy(update={"place": None, "pose": pose})
+        for name, joints in start.joints.items():
+            objects[name] = objects[name].model_copy(update={"joints": {**objects[name].joints, **joints}})
+    return spec.model_copy(update={"objects": objects})

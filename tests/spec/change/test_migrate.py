@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.change.migrate import STEPS, Migration, migrated
+from simfoundry.spec.change.format import STEPS, Migration, migrated
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS, model_of

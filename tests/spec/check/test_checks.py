@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.check.allow import unused
+from simfoundry.spec.check.documents import unused
 from simfoundry.spec.diagnostics import Severity
 from simfoundry.spec.load import load
 

@@ -17,8 +17,8 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import Known, checked
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node

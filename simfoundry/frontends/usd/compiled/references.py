@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from typing import Any
 
-from simfoundry.spec.change.diff.renames import Rename
-from simfoundry.spec.change.diff.renames import renamed as with_new_names
-from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call
+from simfoundry.spec.change.diff.changes import Rename
+from simfoundry.spec.change.diff.changes import renamed as with_new_names
+from simfoundry.spec.models.predicate import Call, ExpressionError, parse_call
 
 Data = dict[str, Any]
 

@@ -9,8 +9,9 @@ from typing import Any
 
 from simfoundry.frontends.usd.compiled.edits import differs
 from simfoundry.frontends.usd.compiled.references import renamed
-from simfoundry.spec.compose import EXCLUSIVE, compose
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.load import compose
+from simfoundry.spec.models.base import EXCLUSIVE
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.project import project_root

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import Change, diff
+from simfoundry.spec.change.diff.changes import Change, Rename, diff, renamed, same
 from simfoundry.spec.change.diff.fields import Describing
-from simfoundry.spec.change.diff.renames import Rename, renamed, same
 from simfoundry.spec.models.base import Model
 
 WIDTH = 100
