@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from simfoundry.spec.change.diff.changes import Add, Change, Path_, Remove, Rename, Reorder, Set, diff, members, same
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import KeyOrder, key_order
 from simfoundry.spec.yaml.nodes import YamlError
@@ -24,13 +25,6 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
 
 _BOM = "\ufeff"
-
-
-class _Absent:
-    """Marker for the value of a missing key."""
-
-
-ABSENT = _Absent()
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:

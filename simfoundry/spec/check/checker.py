@@ -44,21 +44,15 @@ class Checker:
         self.findings: list[Diagnostic] = []
         self._counts: Counter[Severity] = Counter()
 
-    def add(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
-        """Add an error."""
-        self._add(code, path, message, hint, Severity.ERROR, about)
-
-    def warn(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
+    def warn(self, code: str, path: Path_, message: str, hint: str = "") -> None:
         """Add a warning."""
-        self._add(code, path, message, hint, Severity.WARNING, about)
+        self.add(code, path, message, hint, Severity.WARNING)
 
-    def _add(self, code: str, path: Path_, message: str, hint: str, severity: Severity, about: tuple[str, ...]) -> None:
+    def add(self, code: str, path: Path_, message: str, hint: str = "", severity: Severity = Severity.ERROR) -> None:
+        """Add an error, or a finding of another severity."""
         self._counts[severity] += 1
         if self._counts[severity] <= MAX_FINDINGS:  # counted per severity, so that warnings do not hide errors
-            line, column = self.document.place(path)
-            dotted = ".".join(map(str, path))
-            file = self.document.source(path)
-            self.findings.append(Diagnostic(code, severity, message, file, line, column, dotted, hint, about))
+            self.findings.append(self.document.finding(code, path, message, hint, severity))
 
     def names(self, section: str) -> dict[str, Any]:
         """Return the names that a section of the text defines, including faulty members."""

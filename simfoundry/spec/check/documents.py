@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.policy import PolicySpec
 
 
+_MODULES = {**{kind: kind for kind in ("scene", "asset", "task")}, "cousins": "task"}
+_MODULES |= dict.fromkeys(("capture", "policy"), "documents")
+"""Module with the check of each kind; it is imported on first use, so that checking a scene loads no other models."""
+
+
 def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> list[Diagnostic]:
     """Check a document beyond types; ``sound`` is its typed spec, or only the valid part of it unless ``whole``.
 
@@ -25,8 +30,8 @@ def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> 
     if sound is None:
         return []
     c = Checker(loaded, whole, use)
-    name = str(getattr(sound, "simfoundry")).partition("/")[0]  # noqa: B009
-    getattr(import_module(f"{__package__}.{name}"), f"check_{name}")(c, sound)
+    kind = str(getattr(sound, "simfoundry")).partition("/")[0]  # noqa: B009
+    getattr(import_module(f"{__package__}.{_MODULES[kind]}"), f"check_{kind}")(c, sound)
     _conflicts(c, sound)
     return c.findings
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
+from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
@@ -15,7 +17,7 @@ from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_docume
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec, find_robot, read_robot_file, robot_names
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, DEPTHS, SIDES, ObjectSpec, Place, SceneSpec, variant_of
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -137,8 +139,10 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
     if isinstance(robot.model, RobotFiles):
         for key, suffixes in ROBOT_SUFFIXES.items():
             file: str | None = getattr(robot.model, key)
-            if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
-                _robot_file(c, key, file, (*path, "model", key))
+            if file is None or packaged_model(file) is not None:
+                continue
+            if c.file(file, (*path, "model", key), suffixes) and key == "file":
+                _robot_file(c, file, (*path, "model", key))
         return
     try:
         known = find_robot(robot.model)
@@ -152,14 +156,13 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
             c.name(joint, known.home, (*path, "joints", joint), f"joint of `{robot.model}`")
 
 
-def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
+def _robot_file(c: Checker, reference: str, path: Path_) -> None:
     """Check a robot file without opening its models."""
-    if key == "file":
-        file = c.loaded.file(reference)
-        try:
-            read_robot_file(file)
-        except SimfoundryError as error:
-            c.add("SF107", path, str(error).replace(str(file), reference))
+    file = c.loaded.file(reference)
+    try:
+        read_robot_file(file)
+    except SimfoundryError as error:
+        c.add("SF107", path, str(error).replace(str(file), reference))
 
 
 def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
@@ -202,6 +205,11 @@ class SceneNames:
         from simfoundry.spec.models.asset import AssetSpec
 
         return used.spec if isinstance(used.spec, AssetSpec) else None
+
+    def is_fixed(self, name: str) -> bool:
+        """Return True if the object ``name`` is fixed to the world."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        return item is not None and item.fixed
 
     def is_known(self, name: str) -> bool:
         """Return True if the parts of the object ``name`` are known."""
@@ -275,18 +283,18 @@ class SceneNames:
 
     def check_place(self, c: Checker, name: str, place: Place, path: Path_) -> None:
         """Check the names in the place of the object ``name``."""
-        for key in ("on", "inside"):
-            carrier: str | None = getattr(place, key)
-            if carrier is not None:
-                self.check_part(c, carrier, (*path, key))
-        for key in (*SIDES, *DEPTHS):
-            anchor: str | None = getattr(place, key)
-            if anchor is not None:
-                c.name(anchor, self.objects, (*path, key), "object")
+        for key in PLACE_REFERENCES:
+            other: str | None = getattr(place, key)
+            if other is not None and key in ("on", "inside"):
+                self.check_part(c, other, (*path, key))
+            elif other is not None:
+                c.name(other, self.objects, (*path, key), "object")
 
     def check_order(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
         """Check that no place depends on itself through other places."""
-        needs = _unsolved({name: _needs(place) & places.keys() for name, place in places.items()})
+        named = {name: {getattr(place, key) or "" for key in PLACE_REFERENCES} for name, place in places.items()}
+        needs = {name: {other.partition(".")[0] for other in others} & places.keys() for name, others in named.items()}
+        needs = _unsolved(needs)
         for name in needs:
             cycle = _cycle(name, needs)
             if cycle:
@@ -295,25 +303,15 @@ class SceneNames:
                 c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
 
 
-def _needs(place: Place) -> set[str]:
-    named = (place.on, place.inside, place.left_of, place.right_of, place.in_front_of, place.behind)
-    return {name.partition(".")[0] for name in named if name is not None}
-
-
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
     """Return the entries that cannot be resolved: cycles, and entries that depend on them."""
-    waiting = {name: len(needed) for name, needed in needs.items()}
-    wanted: dict[str, list[str]] = {}
-    for name, needed in needs.items():
-        for other in needed:
-            wanted.setdefault(other, []).append(name)
-    free = [name for name, count in waiting.items() if count == 0]
-    while free:
-        for name in wanted.get(free.pop(), ()):
-            waiting[name] -= 1
-            if waiting[name] == 0:
-                free.append(name)
-    return {name: needs[name] for name, count in waiting.items() if count}
+    sorter, solved = TopologicalSorter(needs), set[str]()
+    with suppress(CycleError):  # the sorter still yields all entries that do not depend on a cycle
+        sorter.prepare()
+    while ready := sorter.get_ready():
+        solved.update(ready)
+        sorter.done(*ready)
+    return {name: needed for name, needed in needs.items() if name not in solved}
 
 
 def _cycle(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:

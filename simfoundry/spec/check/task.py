@@ -10,6 +10,7 @@ from simfoundry.spec.check.scene import SceneNames
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.cousins import CousinsSpec
+from simfoundry.spec.models.predicate import parts, texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
 
@@ -43,18 +44,16 @@ def scene_names(scene: Loaded | None) -> SceneNames | None:
 
 def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
     """Check the names in a goal, and that the goal is not empty: an empty goal succeeds immediately."""
-    from simfoundry.spec.models.predicate import parts, texts
-
     if names is not None:
         names.check_condition(c, goal, path)
-    empty = [at for at, (tag, below) in _groups(goal, path, parts) if tag in ("all", "any") and not below]
+    empty = [at for at, (tag, below) in _groups(goal, path) if tag in ("all", "any") and not below]
     for at in empty or ([path] if not any(True for _ in texts(goal)) else []):
         never = at[-1] == "any"
         message = "a goal that lists nothing " + ("never succeeds" if never else "succeeds at once")
         c.warn("SF404", at, message, "name what must hold, as `Inside(cup, bowl)`")
 
 
-def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
+def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
     """Return every group of a condition with the path of its list."""
     tag, below = parts(condition)
     if tag == "text":
@@ -62,7 +61,7 @@ def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[
     found = [((*path, tag), (tag, below))]
     for k, item in enumerate(below):
         at = (*path, tag) if tag == "not" else (*path, tag, k)
-        found += _groups(item, at, parts)
+        found += _groups(item, at)
     return found
 
 
@@ -90,8 +89,7 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
     """Check that no object fixed to the world has a different start."""
-    item = names.spec.objects.get(name) if names.spec is not None else None
-    if item is not None and item.fixed:
+    if names.is_fixed(name):
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
         c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")
 
@@ -103,7 +101,8 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
         c.file(spec.object.library, ("object", "library"), ())
     if spec.distractors is not None and spec.distractors.library is not None:
         c.file(spec.distractors.library, ("distractors", "library"), ())
-    names = _names(twin)
+    spec_of_twin = twin.spec if twin is not None else None
+    names = scene_names(twin.used(spec_of_twin.scene) if twin and isinstance(spec_of_twin, TaskSpec) else twin)
     if names is None:
         return
     if spec.scene is not None:
@@ -111,8 +110,8 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             c.name(spec.scene.anchor, names.objects, ("scene", "anchor"), "object")
         for name, sides in spec.scene.objects.items():
             path = ("scene", "objects", name)
-            if c.name(name, names.objects, path, "object"):
-                _free(c, names, name, path)
+            if c.name(name, names.objects, path, "object") and names.is_fixed(name):
+                c.add("SF107", path, f"`{name}` is fixed in the twin, so it cannot move", "remove it here")
             if name == spec.scene.anchor:
                 c.add("SF107", path, f"`{name}` is the anchor, which stays where it is", "remove it here")
             if not sides:
@@ -124,16 +123,3 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             c.add("SF107", place, f"variants of `{name}` come from a library, and there is none", "give `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")
-
-
-def _names(twin: Loaded | None) -> SceneNames | None:
-    """Return the names in the scene of the twin."""
-    if twin is None or not isinstance(twin.spec, TaskSpec):
-        return scene_names(twin)
-    return scene_names(twin.used(twin.spec.scene))
-
-
-def _free(c: Checker, names: SceneNames, name: str, path: tuple[str, ...]) -> None:
-    item = names.spec.objects.get(name) if names.spec is not None else None
-    if item is not None and item.fixed:
-        c.add("SF107", path, f"`{name}` is fixed in the twin, so it cannot move", "remove it here")

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
-from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
@@ -31,6 +30,7 @@ from simfoundry.spec.models.base import (
     Shape,
     Vec3,
     exclusive,
+    fault,
 )
 from simfoundry.spec.models.robot import RobotSpec
 
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 SIDES = ("left_of", "right_of")
 DEPTHS = ("in_front_of", "behind")
+PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
+"""Keys of a place that name an object."""
 
 
 class Place(Model):
@@ -76,7 +78,7 @@ class Place(Model):
         beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
         exclusive(self, "xy", "local_xy", *([beside] if beside else []))
         if beside is None and self.gap != Place.model_fields["gap"].default:
-            raise PydanticCustomError("sf107", "`gap` is for left_of, right_of, in_front_of and behind", {"at": "gap"})
+            raise fault("sf107", "`gap` is for left_of, right_of, in_front_of and behind", "gap")
         return self
 
 
@@ -107,17 +109,22 @@ DEFAULT_VARIANT = "default"
 """Name of the variant that is the object as written."""
 
 
-class VariantSpec(BodySpec):
-    """Differences of one variant from its object; all other properties are those of the object.
-
-    A new `shape` or `asset` also removes the object's `scale` and `visual`.
-    """
+class GeometrySpec(BodySpec):
+    """Geometry of an object or of one of its variants."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
+
+
+class VariantSpec(GeometrySpec):
+    """Differences of one variant from its object; all other properties are those of the object.
+
+    A new `shape` or `asset` also removes the object's `scale` and `visual`.
+    """
+
     visual: FileName | None = Field(None, description="A mesh to render instead of the shape.")
     category: Name | None = Field(None, description="Category, such as `mug`.")
     labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
@@ -127,18 +134,13 @@ class VariantSpec(BodySpec):
         exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         if not self.model_fields_set:
-            raise PydanticCustomError("sf107", "a variant lists its differences, and this one has none")
+            raise fault("sf107", "a variant lists its differences, and this one has none")
         return self
 
 
-class ObjectSpec(BodySpec):
+class ObjectSpec(GeometrySpec):
     """An object of the scene: a primitive `shape`, or an `asset` (a mesh file or an asset document)."""
 
-    shape: Shape | None = Field(None, description="A primitive.")
-    asset: FileName | None = Field(
-        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
-    )
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     visual: FileName | None = Field(
         None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
@@ -167,10 +169,9 @@ class ObjectSpec(BodySpec):
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
-            message = "`default` is the object as it is written, so no variant may have that name"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "variants"})
+            raise fault("sf107", "no variant may be called `default`, which is the object as written", "variants")
         if self.asset is None and self.visual is None and self.scale != 1.0:
-            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
+            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
         return self
 
 
@@ -204,7 +205,7 @@ class LightSpec(Model):
     @model_validator(mode="after")
     def _shines_somewhere(self) -> Self:
         if math.hypot(*self.direction) < 1e-6:
-            raise PydanticCustomError("sf104", "`direction` must not be zero", {"at": "direction"})
+            raise fault("sf104", "`direction` must not be zero", "direction")
         return self
 
 

@@ -16,6 +16,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from simfoundry.spec.models.scene import PLACE_REFERENCES
+
 Path_ = tuple[str, ...]
 
 EXPRESSION_LISTS = ("relations", "all", "any")
@@ -137,21 +139,10 @@ def _other_kind(a: Any, b: Any) -> bool:
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
 
 
-SECTIONS = (
-    "objects",
-    "materials",
-    "cameras",
-    "lights",
-    "robots",
-    "links",
-    "parts",
-    "joints",
-    "frames",
-    "subtasks",
-    "variants",
-    "place",
-    "pose",
-)
+NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
+"""Sections of a document whose members have names, in the order in which changes are shown."""
+
+SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
 """Keys of mappings whose members have names."""
 
 ALIKE = 0.6
@@ -164,18 +155,11 @@ MAX_PAIRS = 40_000
 """Largest number of candidate pairs for which similarity is computed; above it, only equal members match."""
 
 REFERENCES = {
+    **dict.fromkeys((*PLACE_REFERENCES, "anchor", "objects"), ("objects",)),
     "material": ("materials",),
-    "on": ("objects",),
-    "inside": ("objects",),
-    "left_of": ("objects",),
-    "right_of": ("objects",),
-    "in_front_of": ("objects",),
-    "behind": ("objects",),
     "viewpoint": ("cameras", "robots"),
     "robots": ("robots",),
     "mount": ("robots", "objects"),
-    "anchor": ("objects",),
-    "objects": ("objects",),
     "parent": ("links",),
     "child": ("links",),
     "joint": ("joints",),
@@ -185,9 +169,6 @@ REFERENCES = {
 
 BESIDE = {"variant": "variants"}
 """Keys whose value names a member of the mapping that contains them."""
-
-_ALLOWED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
-"""Sections in which the name of an ``allow`` entry is looked up."""
 
 _EXPRESSIONS = ("relations", "goal", "all", "any", "not")
 """Keys of expressions; their arguments are names of objects or robots."""
@@ -343,7 +324,7 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
     """Rename the members in a dotted path; a single name is looked up in ``spaces``."""
     parts = text.split(".")
     if len(parts) == 1:
-        return _name(text, _ALLOWED, spaces)
+        return _name(text, NAMED, spaces)
     for k in range(1, len(parts)):
         name, again, number = parts[k].partition(" #")  # further conflicts at the same path are numbered
         parts[k] = local.get(tuple(parts[:k]), {}).get(name, name) + again + number

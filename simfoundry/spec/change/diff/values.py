@@ -76,7 +76,7 @@ def value(key: str, item: Any) -> str:
         case int() | float():
             return number(item)
         case str():
-            return _text(item) if key in FREE_TEXTS or " " in item or not item else shortened(item)
+            return f'"{shortened(item)}"' if key in FREE_TEXTS or " " in item or not item else shortened(item)
         case tuple() | list():
             return _list(key, tuple(item))
         case {"deg": degrees, **rest} if not rest:
@@ -132,10 +132,6 @@ def _doubt(estimate: dict[str, Any]) -> str:
     range_ = estimate.get("range")
     between = f", {number(range_[0])} to {number(range_[1])}" if range_ else ""
     return f"(estimated{between} by {shortened(str(estimate.get('source', 'unknown')))})"
-
-
-def _text(text: str) -> str:
-    return f'"{shortened(text)}"'
 
 
 def _list(key: str, items: tuple[Any, ...]) -> str:

@@ -16,9 +16,8 @@ from simfoundry.spec.change.git.revisions import (
     export,
     files_of,
     git,
-    merge_base,
     references,
-    renamed_from,
+    renames_between,
     repository,
 )
 
@@ -134,7 +133,7 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
     elif "..." in revisions[0]:
         left, _, right = revisions[0].partition("...")
         old, new = left or "HEAD", right or "HEAD"
-        base = merge_base(root, commit(root, old), commit(root, new))
+        base = git(root, "merge-base", commit(root, old), commit(root, new)).decode().strip()
         return _Span(base[:10], new, (base, commit(root, new)))
     else:
         old, dots, new = revisions[0].partition("..")
@@ -282,5 +281,5 @@ def _former_name(root: Path, renaming: Commit, path: str) -> str | None:
     for parent in renaming.parents[:1]:
         with files_of(root, parent) as read:
             if read(path) is None:
-                return renamed_from(root, parent, renaming.id, path)
+                return next((pair.old for pair in renames_between(root, parent, renaming.id) if pair.new == path), None)
     return None
