@@ -6,15 +6,14 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from itertools import chain
 from pathlib import Path, PurePosixPath
 
 from simfoundry.spec.check.documents import check, sift
 from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import FileError, Loaded, reachable
-from simfoundry.spec.models.base import EXCLUSIVE
 from simfoundry.spec.models.kinds import KINDS, model_of, suffix
+from simfoundry.spec.models.types import RIVALS, file_patterns, is_mapping, models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse, read
@@ -124,10 +123,6 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
 MAX_BASES = 16
 """Largest number of documents in a chain of `extends`, which bounds the work for malicious input."""
 
-_RIVALS: dict[str, set[str]] = {
-    key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in chain.from_iterable(EXCLUSIVE)
-}
-
 
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
     """Return the joined document, findings, and the files that it extends, nearest first.
@@ -235,10 +230,8 @@ class _Joining:
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
         """Return the keys that ``key`` replaces; empty for named mappings."""
-        rivals = sorted(_RIVALS.get(key, set()) & children.keys())
+        rivals = sorted(RIVALS.get(key, set()) & children.keys())
         if rivals:
-            from simfoundry.spec.models.types import is_mapping, models_at
-
             models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
             return rivals if any(not is_mapping(m, key) for m in models) else []
         return rivals
@@ -261,8 +254,6 @@ def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return
-    from simfoundry.spec.models.types import file_patterns
-
     step = PurePosixPath(Path(os.path.relpath(here, there)).as_posix())
     for pattern in file_patterns(model_of(kind)):
         if pattern != ("extends",):

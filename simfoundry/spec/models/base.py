@@ -100,27 +100,6 @@ class Model(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
-EXCLUSIVE = (
-    ("shape", "asset"),
-    ("mass", "density"),
-    ("pose", "place"),
-    ("yaw_deg", "rpy_deg", "quat_wxyz"),
-    ("look_at", "quat_wxyz"),
-    ("box", "sphere", "cylinder", "capsule", "prism", "lathe"),
-    ("on", "inside"),
-    ("xy", "local_xy", "left_of"),
-    ("xy", "local_xy", "right_of"),
-    ("xy", "local_xy", "in_front_of"),
-    ("xy", "local_xy", "behind"),
-    ("left_of", "right_of"),
-    ("in_front_of", "behind"),
-    ("mesh", "splat"),
-    ("shape", "mesh"),
-    ("all", "any", "not"),
-)
-"""Groups of mutually exclusive keys; if an overlay sets one, it replaces the others of its group in the base."""
-
-
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
     """Return a validation error with the ``code`` of its finding, at the key ``at`` of the model."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})

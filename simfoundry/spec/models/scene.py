@@ -8,7 +8,6 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
-    EXCLUSIVE,
     FARTHEST,
     BodySpec,
     CameraPose,
@@ -33,6 +32,7 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.types import RIVALS
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -288,7 +288,7 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
     if name != DEFAULT_VARIANT:
         over = item.variants[name]
         changes = {key: getattr(over, key) for key in over.model_fields_set}
-        dropped = {rival for group in EXCLUSIVE for key in group if key in changes for rival in group} - changes.keys()
+        dropped = {rival for key in changes for rival in RIVALS.get(key, ())} - changes.keys()
         if any(key in changes for key in GEOMETRY):
             dropped |= {*OF_GEOMETRY, "joints"} - changes.keys()
         if over.asset is not None and is_document(over.asset):  # its links define mass and material themselves

@@ -6,11 +6,24 @@ import functools
 import types
 import typing
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, Tag
 
 from simfoundry.spec.models.base import BodySpec, DocumentSpec, FormerKey, Model, Reference
+from simfoundry.spec.yaml.text import read
+
+_KEYS: dict[str, Any] = read(Path(__file__).with_name("keys.yaml")).data
+
+EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
+"""Groups of mutually exclusive keys; if an overlay sets one, it replaces the others of its group in the base."""
+
+REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
+"""Keys whose value is a name or a list of names, and the sections in which the names are looked up."""
+
+RIVALS = {key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in sum(EXCLUSIVE, ())}
+"""Keys that exclude a key."""
 
 Pattern = tuple[str, ...]
 """Path in which ``*`` stands for any name or index."""
@@ -124,34 +137,7 @@ def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:
         yield from file_patterns(kind, seen)
 
 
-_FIRST = (
-    "simfoundry",
-    "extends",
-    "name",
-    "description",
-    "category",
-    "labels",
-    "fixed",
-    "shape",
-    "asset",
-    "mesh",
-    "scale",
-    "visual",
-    "material",
-    "color",
-    "mass",
-    "density",
-    "friction",
-    "restitution",
-    "collision",
-    "solid",
-    "pose",
-    "place",
-)
-"""Most important fields of bodies and documents, which come first; the others follow in the order of their model."""
-_LAST = ("allow", "conflicts")
-"""Fields that come last."""
-_RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fromkeys(_LAST, 1)
+_RANK = {name: rank - len(_KEYS["first"]) for rank, name in enumerate(_KEYS["first"])} | dict.fromkeys(_KEYS["last"], 1)
 
 
 def field_order(model: type[Model]) -> list[str]:

@@ -11,9 +11,8 @@ from simfoundry.frontends.usd.compiled.edits import differs
 from simfoundry.frontends.usd.compiled.references import renamed
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import compose
-from simfoundry.spec.models.base import EXCLUSIVE
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.types import RIVALS, models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
@@ -142,7 +141,7 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 def _rivals(key: str, above: Path_) -> set[str]:
     """Return the keys that ``key`` replaces; empty for a named mapping."""
-    rivals = {k for group in EXCLUSIVE if key in group for k in group} - {key}
+    rivals = RIVALS.get(key, set())
     return rivals if rivals and models_at(SceneSpec, above) else set()
 
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from simfoundry.spec.models.scene import PLACE_REFERENCES
+from simfoundry.spec.models.types import REFERENCES
 
 Path_ = tuple[str, ...]
 
@@ -153,19 +153,6 @@ IDENTITY = ("shape", "asset", "mesh", "model")
 
 MAX_PAIRS = 40_000
 """Largest number of candidate pairs for which similarity is computed; above it, only equal members match."""
-
-REFERENCES = {
-    **dict.fromkeys((*PLACE_REFERENCES, "anchor", "objects"), ("objects",)),
-    "material": ("materials",),
-    "viewpoint": ("cameras", "robots"),
-    "robots": ("robots",),
-    "mount": ("robots", "objects"),
-    "parent": ("links",),
-    "child": ("links",),
-    "joint": ("joints",),
-    "no_contact": ("objects", "links"),
-}
-"""Keys whose value is a name or a list of names, and the sections in which the names are looked up."""
 
 BESIDE = {"variant": "variants"}
 """Keys whose value names a member of the mapping that contains them."""

@@ -10,8 +10,8 @@ from typing import Any
 from simfoundry.spec.change.diff.changes import Rename, find_renames, renamed
 from simfoundry.spec.change.merge.conflict import MergeConflict, Path_
 from simfoundry.spec.change.merge.equality import same
-from simfoundry.spec.models.base import EXCLUSIVE, Model
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.types import EXCLUSIVE, RIVALS, models_at
 from simfoundry.spec.yaml.tree import YamlTree
 
 
@@ -98,12 +98,10 @@ Sides = tuple[Members, Members]
 LED = (("type", ("limits", "limits_deg")),)
 """Leading keys and the keys that depend on their value."""
 
-_RIVALS = frozenset(chain.from_iterable(EXCLUSIVE))
-
 
 def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
     """Return the mutually exclusive keys at ``path`` that are present only because both sides were combined."""
-    rivals = _RIVALS & merged.keys()
+    rivals = RIVALS.keys() & merged.keys()
     found = set[str]()
     for group in EXCLUSIVE if len(rivals) > 1 else ():
         if _several(group, rivals) and not any(_several(group, side) for side in sides):
