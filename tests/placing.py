@@ -9,8 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.geometry.shapes import Capsule, Cylinder, Mesh, Sphere
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Capsule, Cylinder, Mesh, Sphere, tessellate
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import solve
 from simfoundry.spec.models.scene import Place

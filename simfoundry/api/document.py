@@ -77,7 +77,7 @@ class EditableDocument(DocumentEntry):
         loaded = self._load()
         findings = loaded.all_findings()
         if lints:
-            from simfoundry.lint.run import lint
+            from simfoundry.lint.lints import lint
 
             findings += lint(loaded)
         return findings

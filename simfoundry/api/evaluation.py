@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,25 +38,29 @@ class Evaluation:
         return self.folder / "report.html"
 
 
-def evaluate_tasks(
-    tasks: Iterable[str | Path],
-    policies: Iterable[str],
+def evaluate(
+    tasks: str | Path | Sequence[str | Path],
+    policies: str | Sequence[str],
     *,
-    out: str | Path,
-    rollouts: int,
-    seed: int,
-    engine: str,
-    video: bool,
-    jobs: int,
+    out: str | Path = "build/eval",
+    rollouts: int = 25,
+    seed: int = 0,
+    engine: str = "mujoco",
+    video: bool = False,
+    jobs: int = 1,
 ) -> Evaluation:
-    """Run the missing rollouts of an evaluation, and write its report."""
+    """Evaluate policies on tasks, all from the same starts: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
+
+    Policies are named as on the command line: ``random``, ``expert``, ``python:module:Class``,
+    ``openpi:host:port?...``. Rollouts that are already in ``out`` are not repeated, so an interrupted run resumes.
+    """
     from simfoundry.evaluate.entries import TaskEntry, contenders
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
-    entries = tuple(TaskEntry(Path(task)) for task in tasks)
-    plan = EvaluationPlan(
-        Path(out), entries, tuple(contenders(tuple(policies))), rollouts, seed, (engine,), video=video
-    )
+    files = [tasks] if isinstance(tasks, str | Path) else tasks
+    entries = tuple(TaskEntry(Path(file)) for file in files)
+    named = contenders((policies,) if isinstance(policies, str) else tuple(policies))
+    plan = EvaluationPlan(Path(out), entries, tuple(named), rollouts, seed, (engine,), video=video)
     prepare(plan)
     return run_plan(plan, jobs)
 
@@ -65,7 +69,11 @@ def run_plan(
     plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
 ) -> Evaluation:
     """Execute a plan; ``progress`` receives the standing of a policy and the completed fraction."""
-    from simfoundry.evaluate.run import run
+    from simfoundry.evaluate.run import pending, run
+    from simfoundry.evaluate.statistics.records import read_all
+    from simfoundry.evaluate.statistics.results import results
+    from simfoundry.reports.evaluation import page
+    from simfoundry.runtime.files import write_atomically
 
     troubles: list[str] = []
     won: dict[str, list[int]] = {}
@@ -83,16 +91,6 @@ def run_plan(
         progress(f"{label} {tally[0]}/{tally[1]}", done / of)
 
     run(plan, count, jobs)
-    return _reported(plan, troubles)
-
-
-def _reported(plan: EvaluationPlan, troubles: Iterable[str]) -> Evaluation:
-    from simfoundry.evaluate.run import pending
-    from simfoundry.evaluate.statistics.records import read_all
-    from simfoundry.evaluate.statistics.results import results
-    from simfoundry.reports.evaluation import page
-    from simfoundry.runtime.files import write_atomically
-
     records = tuple(record for _, record in read_all(plan.folder))
     found = Evaluation(plan.folder, records, results(records), len(pending(plan)), tuple(troubles))
     text = json.dumps(found.results, indent=1, ensure_ascii=False) + "\n"

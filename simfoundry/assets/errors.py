@@ -6,7 +6,7 @@ MAX_FACES = 2_000_000
 """Largest number of triangles of a mesh; decomposing more takes many minutes, and no simulator needs them."""
 
 MAX_BYTES = 256 * 2**20
-"""Two million triangles with their pictures fit into this; more would take minutes and the memory of the machine."""
+"""Largest mesh file [bytes]: two million triangles with textures fit; more takes minutes and all memory."""
 
 SMALLEST, LARGEST = 0.001, 20.0
 """Plausible extents of anything on, around or under a table [m]."""
@@ -56,16 +56,6 @@ def too_large(name: str, size: int) -> MeshError:
     """Return the error for a file that is too large."""
     most = MAX_BYTES // 2**20
     return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; at most {most} are read", "decimate it first")
-
-
-def profile_misses_axis() -> MeshError:
-    """Return the error for a profile that does not start and end on the axis."""
-    return MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
-
-
-def profile_off_axis() -> MeshError:
-    """Return the error for a profile that touches the axis between its ends."""
-    return MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
 
 
 def shape_crosses_itself(what: str) -> MeshError:

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -153,6 +153,13 @@ def _check_numbers(name: str, vertices: Array) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
+
+
+def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
+    """Return the vertices [m], shape (n, 3), and faces, shape (m, 3), of all pieces of a mesh."""
+    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)])
+    return np.concatenate([p.vertices for p in parts]), faces.astype(np.int32)
 
 
 def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:

@@ -148,16 +148,13 @@ def _read(stored: bytes) -> MeshFacts | None:
 
 def measure(path: Path) -> MeshFacts:
     """Read a mesh file and measure it; raises :class:`MeshError` if it cannot be read."""
-    import numpy as np
 
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
-    from simfoundry.assets.mesh import extent, open_edges, read_parts, weld
+    from simfoundry.assets.mesh import extent, merged, open_edges, read_parts, weld
 
     parts = read_parts(path)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
-    vertices = np.concatenate([p.vertices for p in parts])
-    joined = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
+    vertices, joined = merged(parts)
     vertices, faces = weld(vertices, joined)
     triangles, gaps = len(joined), open_edges(faces)
     own = mass.mesh(vertices, faces) if len(faces) else None

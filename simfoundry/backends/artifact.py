@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.losses import Loss
+from simfoundry.backends.features import Cells, Loss
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import staged, write_file
 
@@ -90,3 +90,14 @@ def numbers(values: Array | Iterable[float]) -> str:
 def rounded_list(values: Array) -> list[float]:
     """Return the :func:`rounded` values of an array, row by row."""
     return [rounded(v) for v in np.asarray(values).ravel().tolist()]
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A compiler for one format: ``compile(scene, **options)`` returns an artifact; ``features`` gives each fidelity.
+
+    The parameters of ``compile`` after the scene are the options that a target profile can set.
+    """
+
+    compile: Callable[..., Artifact]
+    features: Cells

@@ -1,14 +1,20 @@
-"""The features of a scene: the rows of the support matrix and of the loss report.
+"""The features of a scene and their losses: the rows of the support matrix and of the loss report.
 
-Each backend has a table of these, :data:`Cells`, with the fidelity that it keeps; the losses that a compile reports are
-held against it.
+Each backend has a table, :data:`Cells`, with the fidelity of each feature. A compile reports its losses as typed
+records, from which ``loss.json`` and every report are generated; they agree with the table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import yaml
 
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
@@ -16,6 +22,12 @@ from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene,
 
 Users = Callable[[Scene], Iterable[str]]
 """The elements of a scene that use a feature, by name; a joint as ``object.joint``."""
+
+_KEPT = "kept"
+"""The entry for a feature that a target preserves exactly."""
+
+_OF_ROBOTS = ("robots", "robot_motors", "robot_contacts")
+"""The features that are lost together with a robot if the robot is dropped."""
 
 
 class Fidelity(StrEnum):
@@ -28,7 +40,7 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class SupportCell:
-    """The fidelity of a feature in a target: exact where ``fidelity`` is None; ``reason`` explains any other."""
+    """The fidelity of a feature in a target: exact if ``fidelity`` is None; ``reason`` explains any other."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
@@ -39,9 +51,9 @@ Cells = Mapping[str, SupportCell]
 
 @dataclass(frozen=True)
 class Feature:
-    """One thing that a spec can state: its group, a label for people, and the elements that use it in a scene.
+    """One property that a spec can state: its group, a label for people, and the elements that use it in a scene.
 
-    ``quantity`` is the last word of the path of a loss, as in ``cup.friction``; empty where the element says it all.
+    ``quantity`` is the last word of the path of a loss, as in ``cup.friction``; empty if the element alone is the path.
     """
 
     group: str
@@ -68,6 +80,15 @@ def dropped(reason: str) -> SupportCell:
 def rejected(reason: str) -> SupportCell:
     """Return the cell of a feature whose scenes are not compiled."""
     return SupportCell(Fidelity.REJECTED, reason)
+
+
+def read_cells(folder: Path) -> dict[str, SupportCell]:
+    """Read the ``features.yaml`` of a backend: exact features, with or without a remark, and reasons for the others."""
+    text = (folder / "features.yaml").read_text(encoding="utf-8")
+    table = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    cells = exact(*table["exact"]) | {name: SupportCell(None, remark) for name, remark in table["remarks"].items()}
+    cells |= {name: approximated(reason) for name, reason in table["approximated"].items()}
+    return cells | {name: dropped(reason) for name, reason in table["dropped"].items()}
 
 
 SIMPLIFIED_COLLIDERS = approximated("Every target gets the same simpler shapes; the loss report states the distance.")
@@ -99,8 +120,7 @@ def _is_textured(item: SceneObject) -> bool:
 
 
 def _excluded(scene: Scene) -> list[str]:
-    pairs = [item.name for item in scene.objects if item.no_contact]
-    return [*pairs, *(["no_contact"] if scene.no_contact else [])]
+    return [item.name for item in scene.objects if item.no_contact] + ["no_contact"] * bool(scene.no_contact)
 
 
 def _left_out(scene: Scene, section: str) -> list[str]:
@@ -180,3 +200,105 @@ FEATURES: dict[str, Feature] = {
     "armature": _of_joints("armature", lambda j: j.armature > 0, "armature"),
 }
 """Every feature by name, in the order in which reports show them."""
+
+
+class Size(NamedTuple):
+    """The size of an approximation: a value and its unit, where ``1`` means a ratio or a coefficient."""
+
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A feature of the scene that a target cannot keep exactly.
+
+    ``feature`` is a key of :data:`FEATURES`. ``element`` is the name in the scene of the object, joint, collider or
+    light that is affected, or empty if all users of the feature are. ``size`` is the error of an approximation, None if
+    it is unknown.
+    """
+
+    feature: str
+    element: str
+    fidelity: Fidelity
+    reason: str
+    size: Size | None = None
+
+    @property
+    def path(self) -> str:
+        """The element and its quantity, such as ``cup.friction``, or only the quantity if all elements are affected."""
+        words = dict.fromkeys((self.element, FEATURES[self.feature].quantity))
+        return ".".join(filter(None, words)) or self.feature
+
+
+def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
+    """Return the loss of a feature that is approximated with an error of ``value`` in ``unit``."""
+    size = None if value is None else Size(float(f"{value:.3g}"), unit)
+    return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
+
+
+def drop(feature: str, element: str, reason: str) -> Loss:
+    """Return the loss of a feature that is left out."""
+    return Loss(feature, element, Fidelity.DROPPED, reason)
+
+
+def shared_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield the losses that lowering causes in every target, such as omitted parts and simplified colliders."""
+    for part in scene.left_out:
+        yield drop("robots" if part.path.startswith("robots.") else "mounted_cameras", part.path, part.reason)
+    for item in scene.objects:
+        error = max((link.collision_error for link in item.links), default=0.0)
+        if error:
+            count = sum(len(link.colliders) for link in item.links)
+            subject = f"Its {count} colliders are" if count > 1 else "Its collider is"
+            reason = f"{subject} up to {1000 * error:.2g} mm away from the visual surface."
+            yield approximate("collision_shape", item.name, reason, 1000 * error, "mm")
+
+
+def variant_losses(scene: Scene, target: str) -> Iterator[Loss]:
+    """Yield one loss per object with variants, for a target whose files hold only one variant."""
+    for item in scene.objects:
+        if item.variants:
+            others = ", ".join(f"`{v.variant}`" for v in item.variants)
+            reason = f"{target} holds one variant: `{item.variant}` is written; {others} are left out."
+            yield drop("variants", item.name, reason)
+
+
+def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
+    """Yield the loss of a Gaussian splat in a target that draws only surfaces."""
+    if scene.background is not None and scene.background.splat is not None:
+        yield drop("background_splat", "background", f"{target} renders surfaces, and a Gaussian splat has none.")
+
+
+def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
+    """Count the elements that keep each used feature, have it approximated, or lose it; zeros are omitted.
+
+    If an element has several losses, the worst one counts.
+    """
+    users = _users(scene)
+    worst: dict[str, dict[str, Fidelity]] = {name: {} for name in users}
+    for loss in losses:
+        whole_robot = loss.feature == "robots" and loss.fidelity is Fidelity.DROPPED
+        for name in _OF_ROBOTS if whole_robot else (loss.feature,):
+            for user in _elements(users[name], loss.element):
+                if worst[name].get(user, Fidelity.APPROXIMATED) is Fidelity.APPROXIMATED:
+                    worst[name][user] = loss.fidelity
+    counts = {name: Counter(worst[name].get(each, _KEPT) for each in elements) for name, elements in users.items()}
+    return {name: {f: found[f] for f in (_KEPT, *Fidelity) if f in found} for name, found in counts.items() if found}
+
+
+def _users(scene: Scene) -> Mapping[str, list[str]]:
+    """Return the elements that use each feature of a scene; cached because every target needs them."""
+    if scene not in _USERS:
+        _USERS[scene] = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
+    return _USERS[scene]
+
+
+_USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
+
+
+def _elements(users: list[str], element: str) -> list[str]:
+    """Return the elements that a loss affects: the element or its owner if one is named, otherwise all users."""
+    if not element or element in users:
+        return [element] if element else users
+    return [user for user in users if element.startswith(f"{user}.")]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.losses import Loss, approximate
+from simfoundry.backends.features import Loss, approximate
 from simfoundry.scene.kinematics import effective_inertias, trees
 from simfoundry.scene.model import Drive, Scene, SceneObject
 

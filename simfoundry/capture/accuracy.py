@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds

@@ -14,8 +14,7 @@ from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support_object import Thickness
 from simfoundry.geometry.frames import Pose, frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, tessellate
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.state import pose_spec
 from simfoundry.spec.models.base import (

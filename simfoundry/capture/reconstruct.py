@@ -30,8 +30,7 @@ from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support_object import beneath, support_mesh, thickness
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.geometry.shapes import Box
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.spec.models.base import Origin
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import LightSpec, SceneSpec

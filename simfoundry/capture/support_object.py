@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh

@@ -1,14 +1,15 @@
-"""``simfoundry capture``."""
+"""Commands that reconstruct a scene from pictures: ``capture``, ``demo``."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from simfoundry.cli.options import ANY, NEW_FOLDER
 from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
-from simfoundry.cli.settle import settle_table
+from simfoundry.cli.scenes import settle_table
 
 
 @subcommand()
@@ -17,7 +18,9 @@ from simfoundry.cli.settle import settle_table
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if an object was left out or did not settle well.")
-def command(capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool) -> int:
+def capture_command(
+    capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool
+) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
     Writes NAME.scene.yaml, meshes/, report.json and compare.png. If an object was left out, or did not settle well, the
@@ -45,3 +48,71 @@ def _name(capture: Path) -> str:
     if capture.is_dir() or capture.name == "capture.yaml":
         return (capture if capture.is_dir() else capture.parent).resolve().name
     return capture.name.split(".")[0]
+
+
+@subcommand()
+@click.argument("capture", type=ANY, required=False)
+@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
+@click.option("--frame", help="Reconstruct this frame. Default: the first.")
+@click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
+def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
+    """Reconstruct a scene from one picture, compile and simulate it, and run a small task with an arm.
+
+    CAPTURE is a folder with capture.yaml. Without it, the demo uses the project's own desk, whose ground truth is
+    known.
+    """
+    from simfoundry.capture.demo import own_capture, run_demo
+    from simfoundry.evaluate.demo import demonstrate
+
+    folder = capture or own_capture()
+    with progress_bar(as_json) as progress:
+        demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
+        progress("running a task with an arm", 0.7)
+        arm = demonstrate(demo.run.scene_file, out / "arm", force)
+    if as_json:
+        print_json(demo.to_json() | {"arm": arm.to_json()})
+        return
+    click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
+    click.echo(settle_table(demo.run.settled.to_json()["objects"]))
+    if demo.comparison:
+        click.echo("\nrecovered against true values")
+        click.echo(_truth_table([c.to_json() for c in demo.comparison]))
+    click.echo("\nmotion in 2 s of simulation")
+    for engine, motions in demo.motions.items():
+        if isinstance(motions, str):
+            click.echo(f"{engine:<9} {motions}")
+        else:
+            worst = max(motions, key=lambda m: m.moved)
+            turned = max(m.turned_deg for m in motions)
+            click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
+    click.echo("\ntask with a robot arm")
+    if arm.task is None:
+        click.echo(f"not run: {arm.reason}")
+    elif arm.success:
+        click.echo(f"“{arm.instruction}”  done in {arm.seconds:.1f} s")
+    else:
+        click.echo(f"“{arm.instruction}”  failed after {arm.seconds:.1f} s: {arm.reason}")
+    click.echo("\ncompiled")
+    for target, path in demo.worlds.items():
+        click.echo(f"{target:<9} {path}")
+    click.echo(f"\nscene     {demo.run.scene_file}\npicture   {demo.picture}")
+    if arm.task is not None:
+        click.echo(f"task      {arm.task}\npictures  {arm.strip}")
+
+
+def _truth_table(rows: list[dict[str, Any]]) -> str:
+    head = f"{'true':<10}{'recovered as':<16}{'position':>9}  {'size, true -> recovered [cm]':<36}"
+    lines = [f"{head}{'mass [kg]':<16}{'F1@1cm':>6}"]
+    for r in rows:
+        if not r["recovered"]:
+            lines.append(f"{r['name']:<10}not found")
+            continue
+        sizes = f"{_cm(r['size_true'])} -> {_cm(r['size'])}"
+        masses = f"{r['mass_true']:.2g} -> {r['mass']:.2g}"
+        place = f"{r['name']:<10}{r['recovered']:<16}{r['position'] * 1000:>6.1f} mm"
+        lines.append(f"{place}  {sizes:<36}{masses:<16}{r['f1']:>6.2f}")
+    return "\n".join(lines)
+
+
+def _cm(size: list[float]) -> str:
+    return " ".join(f"{100 * v:.1f}" for v in size)

@@ -1,15 +1,20 @@
-"""``simfoundry compile``."""
+"""``simfoundry compile``, for one scene and for many: parallel and resumable, with every failure listed at the end."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from simfoundry.cli.options import ANY, NEW_FOLDER
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar, subcommand
+
+if TYPE_CHECKING:
+    from simfoundry.targets.batch import CompileJob, CompileOutcome
 
 # NumPy starts a BLAS thread pool at import, a tenth of the command's run time, and no matrix here is large.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -34,15 +39,10 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @click.option(
     "--force", is_flag=True, help="Recompile scenes that are up to date, and replace folders that contain other files."
 )
-def command(
-    scenes: tuple[Path, ...],
-    targets: tuple[str, ...],
-    out: Path,
-    jobs: int | None,
-    strict: bool,
-    force: bool,
+def compile_command(
+    scenes: tuple[Path, ...], targets: tuple[str, ...], out: Path, jobs: int | None, strict: bool, force: bool,
     as_json: bool,
-) -> int:
+) -> int:  # fmt: skip
     """Compile scenes for simulators, one folder per target, with a report of everything that was lost.
 
     A target that fails is reported and the others are written; the exit code is then 1, or 2 if none is written.
@@ -52,8 +52,6 @@ def command(
     the exit code is 1.
     """
     if len(scenes) > 1 or scenes[0].is_dir():
-        from simfoundry.cli.compile_many import compile_many
-
         return compile_many(scenes, targets or TARGETS, out, jobs, strict, force, as_json)
     return _compile_one(scenes[0], targets or TARGETS, out, strict, force, as_json)
 
@@ -112,3 +110,72 @@ def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
         verb = "are" if len(paths) > 1 else "is"
         lines.append(f"{', '.join(paths[:3])}{more} {verb} not written: {reason}")
     return lines
+
+
+def compile_many(
+    paths: Sequence[Path], targets: tuple[str, ...], out: Path, workers: int | None, strict: bool, force: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Compile the scenes among ``paths`` and below its folders; return the exit code."""
+    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, jobs_of
+    from simfoundry.targets.find import find_target
+
+    for name in targets:
+        find_target(name)  # report a misspelled target once, not once per scene
+    jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
+    _ensure_apart(jobs, paths)
+    with progress_bar(as_json) as progress:
+        outcomes = _outcomes(jobs, workers or _cores(), lambda said, done: progress(_short(said), done / len(jobs)))
+    found = Counter(outcome.state for outcome in outcomes)
+    counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
+    if as_json:
+        print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
+    else:
+        _print(outcomes, found)
+    lossy = any(any(outcome.losses.values()) for outcome in outcomes)
+    return FINDINGS if found[FAILED] or (strict and lossy) else DONE
+
+
+def _outcomes(jobs: Sequence[CompileJob], workers: int, report: Callable[[str, int], object]) -> list[CompileOutcome]:
+    """Yield the outcome of each job; compile a single scene in this process."""
+    from simfoundry.targets.batch import compile_all, compile_job
+
+    return [compile_job(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report)
+
+
+def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
+    """Raise :class:`CannotError` if there is no scene, or if two scenes would share a folder."""
+    if not jobs:
+        raise CannotError(f"there is no *.scene.yaml below {', '.join(map(str, paths))}")
+    taken: dict[Path, Path] = {}
+    for job in jobs:
+        other = taken.setdefault(job.out, job.scene)
+        if other != job.scene:
+            raise CannotError(
+                f"{other} and {job.scene} would both be written to {job.out}; pass a folder that contains both"
+            )
+
+
+def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
+    """Print a line for each scene, then the errors of those that failed, then the totals."""
+    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED
+
+    width = max(len(outcome.scene) for outcome in outcomes)
+    for outcome in outcomes:
+        lost = ", ".join(f"{count} in {target}" for target, count in outcome.losses.items() if count)
+        more = "" if outcome.state == FAILED else f"  {outcome.out}" + (f"  (lost: {lost})" if lost else "")
+        click.echo(f"{outcome.scene:<{width}}  {outcome.state:<{len(CURRENT)}}{more}".rstrip())
+    for outcome in outcomes:
+        print_findings(list(outcome.findings))
+        if outcome.error:
+            click.echo(f"{outcome.scene}: {outcome.error}", err=True)
+    click.echo(", ".join(f"{found[state]} {state}" for state in (COMPILED, CURRENT, FAILED) if found[state]))
+
+
+def _short(text: str, most: int = 60) -> str:
+    return text if len(text) <= most else f"…{text[-most + 1 :]}"
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,22 +1,32 @@
-"""``simfoundry cousins``."""
+"""Commands that propose variants and tasks: ``cousins``, ``propose``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, resumable
+from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, WorldName, resumable, scene_argument
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    choose_camera,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+)
 
 if TYPE_CHECKING:
-    from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import Recipe
     from simfoundry.cousins.run.run import Ledger, RunPlan
+    from simfoundry.cousins.tasks.context import TaskContext
+    from simfoundry.cousins.tasks.enumeration import Proposal
 
 
 @subcommand(force=True)
@@ -40,21 +50,11 @@ if TYPE_CHECKING:
 @click.option("--no-gallery", is_flag=True, help="Do not draw pictures.")
 @click.option("--vlm", default="", metavar="MODEL", help="Use this model for recipes that need one.")
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
-def command(
-    recipe: Path,
-    count: int | None,
-    out: Path | None,
-    jobs: int | None,
-    seed: int | None,
-    shard: tuple[int, int] | None,
-    where: str,
-    gallery: int,
-    no_gallery: bool,
-    vlm: str,
-    stage: Path | None,
-    force: bool,
-    as_json: bool,
-) -> int:
+def cousins_command(
+    recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
+    shard: tuple[int, int] | None, where: str, gallery: int, no_gallery: bool, vlm: str, stage: Path | None,
+    force: bool, as_json: bool,
+) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
 
     Each cousin is a document in OUT that extends the twin and states only the differences. OUT/manifest.json lists the
@@ -67,13 +67,11 @@ def command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.variant_pool import ASSETS, counts
     from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
+    from simfoundry.cousins.run.report import told
     from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
-    if stage is not None:
-        from simfoundry.runtime.files import ensure_replaceable
-
-        ensure_replaceable(stage, [recipe], force)
+    protect_output(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)
     setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, resumable(folder):
@@ -84,19 +82,21 @@ def command(
             sampler = CandidateSampler.load(setup)
             sampler.require_possible()
         except ImpossibleError as error:
-            return _impossible(error, as_json)
+            if as_json:
+                print_json({"end": "impossible", "accepted": 0, "reasons": [r.to_json() for r in error.reasons]})
+            for reason in error.reasons if not as_json else ():
+                click.echo(f"impossible: {reason.text}", err=True)
+            return FINDINGS
         made = counts(read.spec.object, folder / ASSETS / "objects")
         plan = replace(plan, most=sampler.pool.most, variants=made)
 
         def heard(ledger: Ledger) -> None:
-            from simfoundry.cousins.run.report import told
-
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
 
         ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
         if shard is None:
-            _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
-    return _report(plan, ledger, read.remarks, as_json)
+            _write_outputs(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
+    return _report_run(plan, ledger, read.remarks, as_json)
 
 
 def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
@@ -112,16 +112,12 @@ def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Pat
     return read, folder
 
 
-def _write(
-    plan: RunPlan,
-    ledger: Ledger,
-    recipe: Recipe,
-    pictures: int,
-    stage: Path | None,
+def _write_outputs(
+    plan: RunPlan, ledger: Ledger, recipe: Recipe, pictures: int, stage: Path | None,
     progress: Callable[[str, float], None],
-) -> None:
+) -> None:  # fmt: skip
     """Write all outputs except the cousins, which are already there; delete the logs last."""
-    from simfoundry.cousins.run.report import write_manifest
+    from simfoundry.cousins.run.report import write_manifest, write_stage
     from simfoundry.cousins.run.run import finish
     from simfoundry.reports.gallery import write_gallery
 
@@ -129,21 +125,11 @@ def _write(
     if pictures:
         write_gallery(plan, ledger, pictures, lambda done, of: progress("pictures", done / of))
     if stage is not None:
-        from simfoundry.cousins.run.report import write_stage
-
         write_stage(plan, ledger, recipe, stage)
     finish(plan, ledger)
 
 
-def _impossible(error: ImpossibleError, as_json: bool) -> int:
-    if as_json:
-        print_json({"end": "impossible", "accepted": 0, "reasons": [reason.to_json() for reason in error.reasons]})
-    for reason in error.reasons if not as_json else ():
-        click.echo(f"impossible: {reason.text}", err=True)
-    return FINDINGS
-
-
-def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
+def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.run.report import examples, summary
     from simfoundry.cousins.run.run import LEAST_RATE, MANIFEST, PATIENCE
 
@@ -177,3 +163,94 @@ def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bo
     where = plan.out / MANIFEST if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
     return end
+
+
+@subcommand()
+@scene_argument
+@click.option(
+    "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Number of tasks to propose."
+)
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the order of proposals.")
+@click.option("--about", multiple=True, metavar="OBJECT", help="Propose only tasks with this object; may be repeated.")
+@click.option(
+    "--payload", type=click.FloatRange(0, min_open=True),
+    help="Payload of the robot [kg]. Default: its known payload.",
+)  # fmt: skip
+@click.option("--vlm", metavar="MODEL", help="Ask this model, e.g. `openai:gpt-5`, instead of enumerating affordances.")
+@click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")
+@click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
+              help="Format of the model's answer: typed, or the text of the paper's prompt.")  # fmt: skip
+@click.option("-c", "--camera", help="Camera whose picture the model sees. Default: the scene's first.")
+@click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
+              help="Engine that checks that a reached goal persists; may be repeated. Default: MuJoCo.")  # fmt: skip
+@click.option("--rejected", is_flag=True, help="Also list the rejected tasks, with the reasons.")
+def propose_command(
+    scene: Path, count: int, out: Path | None, seed: int, about: tuple[str, ...], payload: float | None,
+    vlm: str | None, base_url: str | None, form: Literal["typed", "paper"], camera: str | None,
+    engines: tuple[str, ...], rejected: bool, as_json: bool,
+) -> int:  # fmt: skip
+    """Propose tasks for a scene, from its affordances or a model's suggestions, each verified to be feasible.
+
+    A task is accepted if its names exist, its goal does not hold already, physics finds a state in which the goal
+    holds, a robot can grasp and reach the objects, and no other accepted task is equivalent. The exit code is 1 if
+    there are fewer tasks than requested.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.cousins.tasks.context import TaskContext
+    from simfoundry.cousins.tasks.enumeration import checked, enumerate_tasks, scene_reference, write
+    from simfoundry.cousins.tasks.enumeration import to_json as row
+    from simfoundry.spec.diagnostics import nearest
+
+    folder = out or scene.parent
+    setting = TaskContext.load(scene, Cache.default(), payload, engines)
+    names = [o.name for o in setting.twin.scene.objects]
+    for name in about:
+        if name not in names:
+            raise CannotError(f"no object is called `{name}`; {nearest(name, names)}")
+    reference = scene_reference(scene, folder)
+    if vlm is not None:
+        from simfoundry.cousins.tasks.proposals import propose_tasks
+        from simfoundry.models.vlm import Vlm
+
+        model: Any = Vlm(vlm, base_url)
+        found = propose_tasks(model, setting, _picture(setting, scene, camera), count, form, reference, about)
+    else:
+        with progress_bar(as_json) as bar:
+            found = enumerate_tasks(
+                setting, count, seed, reference, about, progress=lambda n, seen: bar(f"{seen} tried", n / count)
+            )
+    found = checked(found, folder)
+    accepted = [proposal for proposal in found if proposal.accepted]
+    files = write(found, out) if out is not None else []
+    if as_json:
+        print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
+    else:
+        _print_proposals(found, accepted, rejected)
+        click.echo(f"{len(accepted)} tasks, {len(found) - len(accepted)} not accepted")
+        if files:
+            click.echo(f"wrote {len(files)} documents to {out}")
+    return DONE if len(accepted) >= min(count, len(found)) and accepted else FINDINGS
+
+
+def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
+    """Render the scene from a camera as PNG."""
+    from simfoundry.render.montage import png_bytes
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.worlds.render import choose_engine, render
+
+    spec = load_scene(scene).spec
+    assert isinstance(spec, SceneSpec)
+    camera = choose_camera(setting.twin.scene, spec, name)
+    return png_bytes(render(setting.twin.scene, camera, engine=choose_engine("auto")))
+
+
+def _print_proposals(found: list[Proposal], accepted: list[Proposal], rejected: bool) -> None:
+    shown = found if rejected else accepted
+    wide = max((len(p.name) for p in shown), default=0)
+    for proposal in shown:
+        said = proposal.task.instruction if proposal.task is not None else proposal.goal
+        click.echo(f"{'+' if proposal.accepted else '-'} {proposal.name:<{wide}}  {proposal.goal}  {said}")
+        for reason in proposal.reasons:
+            click.echo(f"    {reason.code}: {reason.text}")

@@ -1,12 +1,39 @@
-"""Find the documents that a command works on."""
+"""Commands that check and rewrite documents: ``check``, ``fmt``, ``migrate``."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from simfoundry.cli.output import CannotError
+import click
+
+from simfoundry.cli.output import (
+    CANNOT,
+    DONE,
+    FINDINGS,
+    CannotError,
+    plural,
+    print_document,
+    print_findings,
+    print_json,
+    print_json_text,
+    progress_bar,
+    subcommand,
+    write_in_place,
+)
+from simfoundry.spec.check.report import FORMATS
+from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.models.kinds import is_document
-from simfoundry.spec.project import MARKER, Project, find_project
+from simfoundry.spec.project import MARKER, find_project
+
+if TYPE_CHECKING:
+    from simfoundry.spec.change.format import Formatted
+    from simfoundry.spec.check.report import Checked
+    from simfoundry.spec.files import Loaded
+    from simfoundry.spec.load import Known
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
@@ -18,7 +45,8 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
     excluded = 0
     for path in paths:
         if path.is_dir():
-            found = [p for p in sorted(path.rglob("*.yaml")) if is_document(p) and not _is_hidden(p.relative_to(path))]
+            found = [p for p in sorted(path.rglob("*.yaml")) if is_document(p)]
+            found = [p for p in found if not any(part.startswith(".") for part in p.relative_to(path).parts)]
             kept = _included(found, path)
             excluded += len(found) - len(kept)
             files |= dict.fromkeys(kept)
@@ -34,18 +62,208 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
 
 def _included(found: list[Path], folder: Path) -> list[Path]:
     """Return the documents that are excluded neither by the project of ``folder`` nor by their own project."""
-    outer = find_project(folder)
-    projects: dict[Path, Project | None] = {}
-    kept = []
-    for path in found:
-        if path.parent not in projects:
-            inner = find_project(path.parent)
-            projects[path.parent] = None if inner == outer else inner
-        near = (p for p in (outer, projects[path.parent]) if p is not None)
-        if not any(project.excludes(path, folder) for project in near):
-            kept.append(path)
-    return kept
+    projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
+
+    def is_excluded(path: Path) -> bool:
+        return any(p is not None and p.excludes(path, folder) for p in (projects[folder], projects[path.parent]))
+
+    return [path for path in found if not is_excluded(path)]
 
 
-def _is_hidden(path: Path) -> bool:
-    return any(part.startswith(".") for part in path.parts)
+MANY = 100
+"""Number of documents from which a terminal shows a progress bar."""
+
+
+@subcommand()
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
+@click.option(
+    "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
+    help="Output format: text, or a format for scripts, code scanning or GitHub.",
+)  # fmt: skip
+@click.option("--lints/--no-lints", default=True, help="Check geometry as well, or only the structure.")
+def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
+    """Check documents, or every document below the given folders (default: the working folder).
+
+    The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` describes a finding in detail.
+    """
+    from simfoundry.runtime.parallel import map_parallel
+    from simfoundry.spec.check.report import gather, renderer
+
+    form = "json" if as_json else form
+    files = documents(paths or (Path(),))
+    _known.clear()
+    _linted.clear()
+    with progress_bar(len(files) < MANY or not sys.stderr.isatty()) as progress:
+        checked = map_parallel(partial(_check, lints=lints), files, lambda done: progress("check", done / len(files)))
+    report = gather(map(str, files), checked)
+    if form == "text":
+        print_findings(list(report.findings))
+    elif form == "github" and report.findings:
+        click.echo(renderer(form)(report))
+    elif form != "github":
+        print_json_text(renderer(form)(report))
+    if form in ("text", "github"):
+        from simfoundry.spec.check.report import summary
+
+        click.echo(summary(report))
+    if form == "text" and report.findings and sys.stdout.isatty():
+        click.echo(f"run `simfoundry explain {report.findings[0].code}` for details")
+    return FINDINGS if report.findings else DONE
+
+
+_known: dict[Path, Known] = {}
+"""Documents that this process has read during a command, by project; shared documents are read once."""
+
+_linted: set[Path] = set()
+"""Documents that this process has linted during a command."""
+
+
+def _check(file: Path, lints: bool) -> Checked:
+    """Return the findings of one document; also called in worker processes."""
+    from simfoundry.spec.check.report import Checked
+    from simfoundry.spec.load import load
+    from simfoundry.spec.project import project_root
+
+    root = project_root(file)
+    loaded = load(file, root, _known.setdefault(root, {}))
+    findings = loaded.all_findings()
+    if lints:
+        from simfoundry.lint.lints import lint
+
+        findings += lint(loaded, _linted)
+    return Checked(tuple(findings), tuple(map(str, _used(loaded))))
+
+
+def _used(loaded: Loaded) -> Iterator[Path]:
+    """Return the files that a document extends or refers to, transitively."""
+    yield from loaded.bases
+    for used in loaded.uses.values():
+        yield used.path
+        yield from _used(used)
+
+
+STDIN = Path("-")
+
+
+@subcommand()
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
+@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if something would change.")
+@click.option("--diff", is_flag=True, help="Write nothing, and show the changes.")
+def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
+    """Rewrite documents in their canonical form, keeping comments and meaning.
+
+    PATHS are files, or folders with documents below them (default: the working folder); `-` reads standard input and
+    writes standard output. A file that cannot be read is reported and left unchanged (exit code 2).
+    """
+    from simfoundry.spec.change.format import format_file
+
+    if STDIN in paths:
+        if len(paths) > 1 or as_json:
+            raise CannotError("`-` cannot be combined with other files or --json")
+        return _format_stream(check, diff)
+    done = _rewrite(documents(paths or (Path(),)), format_file, keep=check or diff)
+    diffs = {str(path): _difference(path, text) for path, text in done.changed.items()} if diff else {}
+    if as_json:
+        print_json(done.to_json("changed") | ({"diffs": diffs} if diff else {}))
+    else:
+        for path in done.changed:
+            said = "would change" if check else "wrote"
+            click.echo(diffs[str(path)] if diff else f"{said} {path}", nl=not diff)
+        print_findings(done.findings)
+    if not (as_json or diff):
+        changes = f"{len(done.changed) or 'none'} {'would change' if check else 'changed'}"
+        seen = "; `--diff` shows how" if check and done.changed else ""
+        click.echo(f"{plural(len(done.files), 'document')}: {changes}{seen}")
+    return done.exit_code(check)
+
+
+@subcommand()
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if a document is out of date.")
+def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
+    """Update older documents in place: their version, and keys that were renamed. Comments are kept.
+
+    PATHS are files, or folders with documents below them (default: the working folder). A document's first key states
+    its version.
+    """
+    from simfoundry.spec.change.format import Formatted, migrated
+    from simfoundry.spec.yaml.text import read
+
+    def update(path: Path) -> Formatted:
+        text = read(path).text
+        return Formatted(text, migrated(text, str(path)))
+
+    files = documents(paths or (Path(),))
+    done = _rewrite(files, update, keep=check)._replace(files=files)
+    if as_json:
+        print_json(done.to_json("older"))
+    else:
+        for path in done.changed:
+            click.echo(f"{'would update' if check else 'updated'} {path}")
+        print_findings(done.findings)
+        click.echo(f"{plural(len(done.files), 'document')}: {len(done.changed) or 'none'} out of date")
+    return done.exit_code(check)
+
+
+class _Rewritten(NamedTuple):
+    """Documents of a command, the new texts of those that change, and findings of those that cannot be read."""
+
+    files: list[Path]
+    changed: dict[Path, Formatted]
+    findings: list[Diagnostic]
+
+    def to_json(self, changed: str) -> dict[str, Any]:
+        """Return the report for scripts, with the documents that change under a key."""
+        files, changes = ([str(path) for path in paths] for paths in (self.files, self.changed))
+        return {"files": files, changed: changes, "findings": [d.to_json() for d in self.findings]}
+
+    def exit_code(self, check: bool) -> int:
+        """Return the exit code; changes count only if nothing is written."""
+        return CANNOT if self.findings else FINDINGS if check and self.changed else DONE
+
+
+def _rewrite(files: list[Path], change: Callable[[Path], Formatted], keep: bool) -> _Rewritten:
+    """Apply a change to documents, and write those that it changes unless ``keep``."""
+    from simfoundry.spec.yaml.nodes import YamlError
+
+    done = _Rewritten([], {}, [])
+    for path in files:
+        try:
+            text = change(path)
+        except YamlError as error:
+            done.findings.append(error.diagnostic(str(path)))
+        except SpecError as error:
+            done.findings.extend(error.diagnostics)
+        else:
+            done.files.append(path)
+            if text.changed:
+                done.changed[path] = text
+    for path, text in done.changed.items() if not keep else ():
+        write_in_place(path, text.after)
+    return done
+
+
+def _format_stream(check: bool, diff: bool) -> int:
+    """Format standard input to standard output."""
+    from simfoundry.spec.change.format import Formatted, format_text
+    from simfoundry.spec.diagnostics import Severity
+
+    try:
+        before = sys.stdin.buffer.read().decode("utf-8")
+    except UnicodeDecodeError:
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is not UTF-8 text", "<stdin>")]) from None
+    text = Formatted(before, format_text(before, "<stdin>"))
+    if diff:
+        click.echo(_difference(STDIN, text), nl=False)
+    elif not check:
+        print_document(text.after)
+    return FINDINGS if check and text.changed else DONE
+
+
+def _difference(path: Path, text: Formatted) -> str:
+    """Return a unified diff of the formatting of a document."""
+    import difflib
+
+    before, after = (t.splitlines(keepends=True) for t in (text.before, text.after))
+    lines = difflib.unified_diff(before, after, f"{path}", f"{path} (formatted)")
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)

@@ -6,7 +6,6 @@ import os
 import re
 import shlex
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -20,33 +19,15 @@ PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
 """File patterns of documents."""
 LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
 
-_scope = (
-    click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories."),
-    click.option("--local", "here", is_flag=True, help="Apply to this repository only (default)."),
-)
-
-
-@dataclass(frozen=True)
-class Scope:
-    """Scope of the git settings: one repository, or all repositories of the user."""
-
-    option: str
-    attributes: Path
-
-    @property
-    def words(self) -> str:
-        """Describe the scope for messages."""
-        return "for all your repositories" if self.option == "--global" else "in this repository"
-
 
 @click.group()
-def command() -> None:
+def git_command() -> None:
     """Set up git to diff and merge documents by meaning."""
 
 
-@command.command()
-@_scope[0]
-@_scope[1]
+@git_command.command()
+@click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories.")
+@click.option("--local", "here", is_flag=True, help="Apply to this repository only (default).")
 @click.option("--uninstall", is_flag=True, help="Remove the settings.")
 @reporting
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
@@ -55,28 +36,28 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     The settings go into git's own configuration, which is not shared, and the file patterns into `.gitattributes`,
     which is shared: commit it. On machines without the settings, git treats documents as text, as usual.
     """
-    scope = _scoped(everywhere, here)
-    undo = f"simfoundry git install{' --global' if everywhere else ''} --uninstall"
+    attributes = _attributes_file(everywhere, here)
+    scope, words = ("--global", "for all your repositories") if everywhere else ("--local", "in this repository")
     if uninstall:
         for section in (f"diff.{DRIVER}", f"merge.{DRIVER}"):
-            if _settings(scope, section):
-                git(Path(), "config", scope.option, "--remove-section", section)
-                click.echo(f"removed {section} {scope.words}")
-        if _remove_lines(scope.attributes):
-            click.echo(f"removed the patterns from {scope.attributes}")
+            if _output("config", scope, "--get-regexp", rf"^{re.escape(section)}\."):
+                git(Path(), "config", scope, "--remove-section", section)
+                click.echo(f"removed {section} {words}")
+        if _remove_lines(attributes):
+            click.echo(f"removed the patterns from {attributes}")
         return DONE
     for key, value in settings().items():
-        git(Path(), "config", scope.option, "--replace-all", key, value)
+        git(Path(), "config", scope, "--replace-all", key, value)
         click.echo(f"set {key}")
-    added = _add_lines(scope.attributes)
-    click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {scope.attributes}")
-    click.echo(f"done {scope.words}; to undo: {undo}")
+    added = _add_lines(attributes)
+    click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {attributes}")
+    click.echo(f"done {words}; to undo: simfoundry git install{' --global' if everywhere else ''} --uninstall")
     if not everywhere:
         click.echo("commit .gitattributes; every member of the team must run `simfoundry git install` once")
     return DONE
 
 
-@command.command()
+@git_command.command()
 @json_option
 @reporting
 def status(as_json: bool) -> int:
@@ -90,9 +71,7 @@ def status(as_json: bool) -> int:
         print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
     else:
         for key, value in found.items():
-            other = (
-                "" if not value or value == wanted[key] else "  (from another installation; run install to update it)"
-            )
+            other = "" if value == wanted[key] else "  (from another installation; run install to update it)"
             click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
         if folder is None:
             click.echo("this is not a git repository, so it has no attributes")
@@ -121,27 +100,24 @@ def settings() -> dict[str, str]:
     }
 
 
-def _scoped(everywhere: bool, here: bool) -> Scope:
+def _attributes_file(everywhere: bool, here: bool) -> Path:
+    """Return the file with the file patterns of this repository, or of all repositories of the user."""
     if everywhere and here:
         raise CannotError("--global and --local are mutually exclusive")
     if everywhere:
         named = _output("config", "--global", "--type=path", "--get", "core.attributesFile")
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
-        return Scope("--global", Path(named) if named else config / "git" / "attributes")
+        return Path(named) if named else config / "git" / "attributes"
     top = _top()
     if top is None:
         raise CannotError("this is not a git repository; create one with `git init`, or pass --global")
-    return Scope("--local", top / ".gitattributes")
+    return top / ".gitattributes"
 
 
 def _top() -> Path | None:
     """Return the top folder of the current repository; None if there is none, or if it has no working tree."""
     found = _output("rev-parse", "--show-toplevel")
     return Path(found) if found else None
-
-
-def _settings(scope: Scope, section: str) -> str:
-    return _output("config", scope.option, "--get-regexp", rf"^{re.escape(section)}\.")
 
 
 def _add_lines(file: Path) -> bool:

@@ -46,12 +46,22 @@ COMMANDS = {
     "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
-MODULES = {"import": "import_"}
-"""Modules of commands whose names are reserved words of Python."""
+MODULES = {
+    "capture": ("capture", "demo"),
+    "changes": ("diff", "log", "merge"),
+    "convert": ("export", "import"),
+    "cousins": ("cousins", "propose"),
+    "documents": ("check", "fmt", "migrate"),
+    "evaluate": ("correlate", "eval"),
+    "language": ("explain", "flatten", "new", "schema"),
+    "scenes": ("judge", "render", "settle", "show", "synthesize"),
+    "verify": ("doctor", "verify"),
+}
+"""Commands by module; any other command has a module with its own name."""
 
 
 class _Lazy(click.Group):
-    """Command group that imports ``command`` from ``simfoundry.cli.<name>`` on demand."""
+    """Command group that imports ``<name>_command`` from its module of ``simfoundry.cli`` on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -59,8 +69,8 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"simfoundry.cli.{MODULES.get(cmd_name, cmd_name)}")
-        command: click.Command = module.command
+        module = next((name for name, commands in MODULES.items() if cmd_name in commands), cmd_name)
+        command: click.Command = getattr(importlib.import_module(f"simfoundry.cli.{module}"), f"{cmd_name}_command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

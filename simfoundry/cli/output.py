@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -151,13 +151,26 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
     return loaded, loaded.spec, scene
 
 
-def write_in_place(path: Path, text: str) -> None:
-    """Write to the file itself instead of replacing a link to it, and preserve its permissions."""
+def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = False) -> None:
+    """Raise :class:`OutputError` if writing a file, if there is one to write, would destroy user data."""
+    if out is not None:
+        from simfoundry.runtime.files import ensure_replaceable
+
+        ensure_replaceable(out, inputs, force)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file atomically."""
     from simfoundry.runtime.files import write_atomically
 
+    write_atomically(path, text.encode())
+
+
+def write_in_place(path: Path, text: str) -> None:
+    """Write to the file itself instead of replacing a link to it, and preserve its permissions."""
     target = path.resolve()
     mode = target.stat().st_mode if target.exists() else None
-    write_atomically(target, text.encode())
+    write_text(target, text)
     if mode is not None:
         target.chmod(mode)
 

@@ -1,17 +1,27 @@
-"""``simfoundry verify``."""
+"""Commands that examine simulators: ``verify``, ``doctor``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from simfoundry.cli.options import ANY, NEW_FILE, files_below
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+    write_text,
+)
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
@@ -60,19 +70,10 @@ class VerifyResults(NamedTuple):
 @click.option(
     "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Number of parallel engines."
 )
-def command(
-    specs: tuple[Path, ...],
-    engines: tuple[str, ...],
-    behaviors: bool,
-    build: Path | None,
-    pythons: tuple[str, ...],
-    require: tuple[str, ...],
-    timeout: float,
-    html: Path | None,
-    force: bool,
-    jobs: int,
-    as_json: bool,
-) -> int:
+def verify_command(
+    specs: tuple[Path, ...], engines: tuple[str, ...], behaviors: bool, build: Path | None, pythons: tuple[str, ...],
+    require: tuple[str, ...], timeout: float, html: Path | None, force: bool, jobs: int, as_json: bool,
+) -> int:  # fmt: skip
     """Load builds of scenes in real simulators and compare the loaded values with the scene.
 
     SPECS are scenes, or folders of them. Each is compiled anew; --build verifies an existing build of one scene
@@ -90,10 +91,7 @@ def command(
         raise CannotError("--build needs exactly one scene, from which the build was compiled")
     if not paths and not behaviors:
         raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviors")
-    if html is not None:
-        from simfoundry.runtime.files import ensure_replaceable
-
-        ensure_replaceable(html, paths, force)
+    protect_output(html, paths, force)
     required = [find_engine(name) for name in require]
     chosen = [find_engine(name) for name in engines] or all_engines()
     wanted = {engine.name: engine for engine in (*chosen, *required)}
@@ -132,7 +130,9 @@ def _subjects(
     for k, path in enumerate(paths):
         progress(f"compile {path.name}", 0.3 * k / len(paths))
         scene = lower_file(path, Cache.default())
-        subject = built(_name(path, paths), scene, here, folder / str(k))
+        name = path.name.removesuffix(".scene.yaml")
+        is_shared = sum(other.name == path.name for other in paths) > 1
+        subject = built(f"{path.parent.name}/{name}" if is_shared else name, scene, here, folder / str(k))
         if build is not None:
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
@@ -143,20 +143,10 @@ def _subjects(
     return subjects
 
 
-def _name(path: Path, paths: Sequence[Path]) -> str:
-    """Return a file's name without suffixes, with its folder if another file has the same name."""
-    name = path.name.removesuffix(".scene.yaml")
-    return f"{path.parent.name}/{name}" if sum(other.name == path.name for other in paths) > 1 else name
-
-
 def _verify(
-    subjects: Sequence[SceneBuilds],
-    found: Found,
-    behaviors: bool,
-    jobs: int,
-    timeout: float,
+    subjects: Sequence[SceneBuilds], found: Found, behaviors: bool, jobs: int, timeout: float,
     progress: Callable[[str, float], None],
-) -> VerifyResults:
+) -> VerifyResults:  # fmt: skip
     from simfoundry.verify.behaviors import BEHAVIORS
     from simfoundry.verify.rest import settle_subjects
     from simfoundry.verify.run import measure_behaviors, read_subjects
@@ -181,20 +171,19 @@ def _verify(
 
 def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
     from simfoundry.reports.verification import page
-    from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviors import BEHAVIORS
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
     text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
-    write_atomically(path, text.encode())
+    write_text(path, text)
 
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
     engines: dict[str, dict[str, Any]] = {
-        name: {"found": False, "install": wanted[name].spec.install}
-        if f is None
-        else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
+        name: {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
+        if f is not None
+        else {"found": False, "install": wanted[name].spec.install}
         for name, f in found.items()
     }
     return {
@@ -237,3 +226,25 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
         if lines:
             click.echo(f"{title}:\n" + "\n".join(f"  {line}" for line in lines) + "\n")
     click.echo(summary(readings, results, rested))
+
+
+@subcommand()
+def doctor_command(as_json: bool) -> int:
+    """Show installed and missing components, and how to install them. The exit code is 1 if a requirement is missing.
+
+    Covers packages, extras, known robots, renderers and foundation models. Nothing is downloaded.
+    """
+    from simfoundry.worlds.doctor import examine
+
+    parts = examine()
+    if as_json:
+        print_json({"parts": [part.to_json() for part in parts]})
+    else:
+        for section, group in groupby(parts, lambda part: part.section):
+            click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")
+            for part in group:
+                mark = "ok     " if part.version else ("MISSING" if part.required else "absent ")
+                click.echo(f"  {mark} {part.name:<22} {part.version:<20} {part.purpose}")
+                if not part.version:
+                    click.echo(f"          {'':<22} -> {part.remedy}")
+    return FINDINGS if any(part.required and not part.version for part in parts) else DONE

@@ -3,39 +3,126 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.document_data import BuiltDocuments, FileShelf, color_data, document_text, pose_data, rounded
 from simfoundry.frontends.draft import (
     BodyDraft,
-    ContactDraft,
     JointDraft,
     LinkDraft,
     LinkPath,
     MeshDraft,
     ModelDraft,
+    NameTable,
     PartDraft,
+    Rgba,
+    plain_name,
 )
-from simfoundry.frontends.names import NameTable, plain_name
+from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.yaml.write import to_data
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import to_data, write_tree
+
+DIGITS = 9
+"""Significant digits of imported numbers: more than any simulator keeps, but without rounding noise."""
+
+NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
+"""Positions [m] and parts of quaternions below these are rounding noise of double precision."""
+
+
+@dataclass
+class BuiltDocuments:
+    """Documents by file name, the requested one first, and other files; names are relative to its folder."""
+
+    documents: dict[str, str] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    """Renamed elements: the name in the file, qualified by its body, and the name in the documents."""
+    parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
+    """Draft of each part, by the names of asset, link, and part in the documents."""
+
+
+@dataclass
+class FileShelf:
+    """Files to be written into ``folder`` (relative to ``base``), except files that are already below ``root``."""
+
+    base: Path
+    folder: str
+    root: Path | None
+    files: dict[str, bytes] = field(default_factory=dict)
+    taken: dict[int, str] = field(default_factory=dict)
+
+    def place(self, mesh: MeshDraft) -> str:
+        """Return the path of a mesh, relative to ``base``; equal files are stored once."""
+        source = None if mesh.source is None else mesh.source.resolve()
+        if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
+            return Path(os.path.relpath(source, self.base.resolve())).as_posix()
+        if id(mesh) not in self.taken:
+            self.taken[id(mesh)] = self._store(mesh.files)
+        return self.taken[id(mesh)].removeprefix("./")
+
+    def _store(self, files: dict[str, bytes]) -> str:
+        main = next(iter(files))
+        for count in range(1, 100_000):
+            place = self.folder if count == 1 else f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{count}"
+            wanted = {f"{place}/{name}": data for name, data in files.items()}
+            if all(self.files.get(name, data) == data for name, data in wanted.items()):
+                self.files |= wanted
+                return f"{place}/{main}"
+        raise AssertionError("no free name")
+
+
+def rounded(value: Any) -> Any:
+    """Return plain data with numbers rounded to :data:`DIGITS` significant digits."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") + 0.0
+    if isinstance(value, dict):
+        return {key: rounded(item) for key, item in value.items()}
+    return tuple(map(rounded, value)) if isinstance(value, list | tuple) else value
+
+
+def document_text(spec: Model) -> str:
+    """Return the canonical text of a document, with all digits of its numbers."""
+    return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
+
+
+def pose_data(X_AB: Pose) -> dict[str, Any]:
+    """Return a pose as document data, with the simplest representation of its rotation."""
+    out: dict[str, Any] = {}
+    if np.abs(X_AB.p).max() > NO_LENGTH_M:
+        out["xyz"] = tuple(X_AB.p.tolist())
+    if abs(abs(X_AB.q[0]) - 1) < 1e-15 or np.abs(X_AB.q[1:]).max() < NO_TURN:
+        return out
+    rpy = tuple(math.degrees(v) for v in rpy_from_quat(X_AB.q))
+    if np.abs(X_AB.q[1:3]).max() < NO_TURN:
+        out["yaw_deg"] = rpy[2]
+    elif all(abs(v - round(v, 3)) < 1e-7 for v in rpy):
+        out["rpy_deg"] = rpy
+    else:
+        out["quat_wxyz"] = tuple(X_AB.q.tolist())
+    return out
+
+
+def color_data(color: Rgba) -> tuple[float, ...]:
+    """Return a color rounded to display precision, which removes the noise of single precision."""
+    values = tuple(round(v, 4) for v in color)
+    return values if values[3] < 1 else values[:3]
+
+
+def relative_path(file: Path, document: Path) -> str:
+    """Return the path of a file relative to a document."""
+    return Path(os.path.relpath(file.resolve(), document.resolve().parent)).as_posix()
+
 
 Data = dict[str, Any]
-
-MATERIAL_KEYS = {
-    "friction": "friction",
-    "restitution": "restitution",
-    "torsional": "torsional_friction",
-    "rolling": "rolling_friction",
-}
-"""Keys of a material by the fields of :class:`ContactDraft`."""
 
 LINK_KEYS = {"friction", "restitution"}
 """Keys of contact parameters that a link may set without a material."""
@@ -72,8 +159,7 @@ class _SceneBuilder:
 
     def build(self, name: str) -> BuiltDocuments:
         draft, built = self.draft, self.built
-        data: Data = {"simfoundry": "scene/1", "name": plain_name(name, "scene")}
-        data["objects"] = {}
+        data: Data = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": {}}
         for body in draft.bodies:
             self.objects[body.name] = called = self.names.name(body.name)
             data["objects"][called] = self.object_data(body, called)
@@ -131,8 +217,8 @@ class _SceneBuilder:
     def cameras(self) -> Data:
         names, out = NameTable("camera"), {}
         for camera in self.draft.cameras:
-            data: Data = {"size": camera.size, "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
-            data = {key: value for key, value in data.items() if value is not None}
+            intrinsics = ((key, getattr(camera, key)) for key in ("size", "fx", "fy", "cx", "cy"))
+            data: Data = {key: value for key, value in intrinsics if value is not None}
             data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
             if camera.mount is not None:
                 body, link = camera.mount
@@ -148,10 +234,9 @@ class _SceneBuilder:
         names, out = NameTable("light"), {}
         for light in self.draft.lights:
             data = {"type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1))}
-            if light.type == "distant":
-                data["direction"] = light.direction
-            elif light.type == "point":
-                data["xyz"] = light.xyz
+            if light.type != "dome":
+                place = "direction" if light.type == "distant" else "xyz"
+                data[place] = getattr(light, place)
             out[names.name(light.name)] = data
         return out
 
@@ -229,9 +314,7 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
     """Return the contact parameters of a part, or else of its link; zero torsional and rolling friction is omitted."""
-    contact: ContactDraft = part.contact.or_else(link.contact)
-    named = ((MATERIAL_KEYS[field], value) for field, value in asdict(contact).items() if value is not None)
-    return {key: float(value) for key, value in named if value or key in LINK_KEYS}
+    return {key: v for key, v in (link.contact | part.contact).items() if v or key in LINK_KEYS}
 
 
 def _material_name(data: dict[str, float], materials: Data) -> str:
@@ -289,7 +372,7 @@ def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str
     if joint.mimic is not None:
         out["mimic"] = asdict(joint.mimic) | {"joint": joints[joint.mimic.joint]}
     if joint.drive is not None:
-        out["drive"] = {key: float(value) for key, value in asdict(joint.drive).items() if value is not None}
+        out["drive"] = to_data(joint.drive)
     return out
 
 

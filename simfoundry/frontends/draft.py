@@ -1,25 +1,82 @@
 """Drafts: the intermediate form between imported files and documents, with links, joints, and parts in SI units.
 
-Drafts are mutable while a file is read, and use the names in the file.
+Drafts are mutable while a file is read, and use the names in the file; :class:`NameTable` converts them to names of
+documents.
 """
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
-from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
+from simfoundry.scene.model import Mimic
+from simfoundry.spec.models.asset import DriveSpec
+from simfoundry.spec.models.base import WORLD, BoxShape, CapsuleShape, CylinderShape, SphereShape
+from simfoundry.spec.models.robot import RobotSpec
+
+LONGEST = 64
+"""Largest length of a name in documents."""
+
+
+def plain_name(text: str, otherwise: str = "thing") -> str:
+    """Return the valid document name that is closest to a text."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
+    ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
+    name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
+    if not name:
+        return otherwise
+    return (name if name[0].isalpha() else f"{otherwise}_{name}")[:LONGEST].rstrip("_")
+
+
+class NameTable:
+    """Unique names for the elements of one kind; ``renamed`` contains names that had to change.
+
+    The name ``world`` is never used, because formats reserve it for the static world.
+    """
+
+    def __init__(self, otherwise: str = "thing") -> None:
+        self.otherwise = otherwise
+        self.taken: set[str] = {WORLD}
+        self.renamed: dict[str, str] = {}
+
+    def name(self, text: str) -> str:
+        """Return a unique name for an element called ``text``."""
+        plain = plain_name(text, self.otherwise)
+        name, count = plain, 1
+        while name in self.taken:
+            count += 1
+            name = f"{plain[: LONGEST - 5]}_{count}"
+        self.taken.add(name)
+        if name != text:
+            self.renamed[text] = name
+        return name
+
+
+UNLIMITED_SLIDE_M = 1000.0
+"""Limits [m] that represent none: far beyond any table, and small enough for single precision."""
+
+GROUND = (20.0, 20.0, 0.1)
+"""Size [m] of the box that represents an infinite plane, with its top in the plane: the maximum in documents, and thick
+enough that nothing tunnels through it."""
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
 LinkPath = tuple[str, str]
 """Names of a body and of one of its links."""
+
+Contact = dict[str, float]
+"""Specified contact parameters by their keys in a material: ``friction``, ``restitution``, and ``torsional_friction``
+and ``rolling_friction`` [m]."""
 
 
 @dataclass(frozen=True)
@@ -78,21 +135,6 @@ class MeshDraft:
     source: Path | None = None
 
 
-@dataclass
-class ContactDraft:
-    """Contact parameters of a part or a link; None if unspecified. ``torsional`` and ``rolling`` are in meters."""
-
-    friction: float | None = None
-    restitution: float | None = None
-    torsional: float | None = None
-    rolling: float | None = None
-
-    def or_else(self, other: ContactDraft) -> ContactDraft:
-        """Return these parameters, with unspecified ones taken from ``other``."""
-        given = {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
-        return replace(other, **given)
-
-
 @dataclass(eq=False)
 class PartDraft:
     """Part of a link with its pose in the link frame; ``use`` is `both`, `visual` or `collision`."""
@@ -102,7 +144,7 @@ class PartDraft:
     use: str = "both"
     X_LG: Pose = IDENTITY
     color: Rgba | None = None
-    contact: ContactDraft = field(default_factory=ContactDraft)
+    contact: Contact = field(default_factory=dict)
 
     @property
     def collides(self) -> bool:
@@ -124,7 +166,7 @@ class LinkDraft:
     com: Array | None = None
     inertia: Array | None = None
     density: float | None = None
-    contact: ContactDraft = field(default_factory=ContactDraft)
+    contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
     """Author of an assumed mass or density if the file has none."""
@@ -133,25 +175,6 @@ class LinkDraft:
     def colliders(self) -> list[PartDraft]:
         """Return the parts that are collision geometry."""
         return [part for part in self.parts if part.collides]
-
-
-@dataclass(eq=False)
-class MimicDraft:
-    """Mimic joint: its position is ``multiplier`` times the position of its leader, plus ``offset``."""
-
-    joint: str
-    multiplier: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(eq=False)
-class DriveDraft:
-    """Joint drive: ``stiffness`` and ``damping`` about ``target`` [rad or m], up to ``force_limit`` [N m or N]."""
-
-    stiffness: float = 0.0
-    damping: float = 0.0
-    target: float | None = None
-    force_limit: float | None = None
 
 
 @dataclass(eq=False)
@@ -172,8 +195,8 @@ class JointDraft:
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
-    mimic: MimicDraft | None = None
-    drive: DriveDraft | None = None
+    mimic: Mimic | None = None
+    drive: DriveSpec | None = None
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
@@ -269,6 +292,10 @@ class ModelDraft:
         """Record an element that is omitted."""
         self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
+    def inexpressible(self, what: str, detail: str = "") -> None:
+        """Record an element that is omitted because the scene language has no construct for it."""
+        self.dropped(what, "the scene language cannot express it", detail)
+
     def changed(self, what: str, why: str, detail: str = "") -> None:
         """Record an element that is expressed differently than in the file."""
         self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
@@ -276,6 +303,17 @@ class ModelDraft:
     def assumed(self, what: str, why: str, detail: str = "") -> None:
         """Record a value that the file does not specify and that is assumed."""
         self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
+
+    def plane(self, what: str, width: float = 0.0, depth: float = 0.0) -> tuple[BoxShape, Pose]:
+        """Return a box that represents a plane, infinite along zero sizes [m], and its pose in the plane's frame."""
+        box = (width or GROUND[0], depth or GROUND[1], GROUND[2])
+        self.changed(what, f"a box of {box[0]:g} x {box[1]:g} m stands for it")
+        return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
+
+    def unlimited_slide(self, what: str) -> tuple[float, float]:
+        """Return limits [m] for a prismatic joint without limits, because documents require them."""
+        self.changed(what, f"it has no limits; {UNLIMITED_SLIDE_M:g} m to either side stand for that")
+        return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 
     def free_name(self, wish: str) -> str:
         """Return a name for another body: ``wish``, with a number appended if a body already has that name."""
@@ -289,3 +327,19 @@ def free_name(wish: str, taken: set[str] | list[str]) -> str:
         count += 1
         name = f"{wish}_{count}"
     return name
+
+
+def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:
+    """Return a robot with the fields that differ from its model; raises :class:`ImportRefusedError`."""
+    try:
+        spec = RobotSpec.model_validate(words)
+    except ValidationError as error:
+        reason = error.errors()[0]["msg"]
+        raise ImportRefusedError(path, f"robot `{name}` is not as compiled files have it: {reason}") from None
+    known = spec.known()
+    if known is None or not isinstance(spec.model, str):
+        raise ImportRefusedError(path, f"robot `{name}` is of a kind that is not known: {spec.model!r}")
+    usual = {"joints": dict(known.home), "reach": known.reach, "opening": known.opening}
+    given = spec.model_dump(include=set(usual), exclude_none=True)
+    changed = {field: value for field, value in given.items() if value != usual[field] and value != "home"}
+    return RobotDraft(name, spec.model, X_WB, changed)

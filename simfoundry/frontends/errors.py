@@ -71,7 +71,7 @@ def _place(error: Exception) -> str:
 def _line(file: Path, error: Exception) -> int:
     """Return the line of ``file`` that was being read: of the current element, else of a named one; 0 if unknown."""
     from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
-    from simfoundry.frontends.xmltree import Element
+    from simfoundry.frontends.files import Element
 
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][::-1]
     at_hand = [value for frame in frames for value in frame.f_locals.values()]

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.frontends.document_data import BuiltDocuments, document_text
-from simfoundry.frontends.documents import build_asset, build_scene
+from simfoundry.frontends.documents import BuiltDocuments, build_asset, build_scene, document_text
 from simfoundry.frontends.draft import DEFAULTS, ImportNote, ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError, refusing_faults
 from simfoundry.frontends.registry import TASK_FRONTENDS, frontend_of

@@ -93,7 +93,7 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
     for part in child.parts:
         part.X_LG = joint.X_PC @ part.X_LG
         part.name = child.name if len(child.parts) == 1 else f"{child.name}_{part.name}"
-        part.contact = part.contact.or_else(child.contact)
+        part.contact = child.contact | part.contact
     parent.parts += child.parts
     _remove_link(draft, body, child.name, parent.name, joint)
 

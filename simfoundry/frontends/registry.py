@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.frontends.draft import DEFAULTS, ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.xmltree import read_xml
+from simfoundry.frontends.files import read_xml
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Scene

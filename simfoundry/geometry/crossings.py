@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Geometry
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Geometry, tessellate
 
 SEGMENTS = 32
 """Number of sides with which round shapes are approximated."""

@@ -1,18 +1,169 @@
-"""Bounds on the distance between two links in many states, and the candidate pairs of nearest parts."""
+"""Signed distances between links in many states: bounds, candidate pairs of nearest parts, and exact values.
+
+Exact distances come from MuJoCo's collision functions at poses that we set.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.box_distance import BoxField, box_field
-from simfoundry.geometry.exact_distance import LIFT, UP, Candidates
+from simfoundry.geometry.bounds import BoxField, Interval, box_field, distance_bounds
 from simfoundry.geometry.form import Form
-from simfoundry.geometry.frames import Array
-from simfoundry.geometry.part_bounds import Interval, distance_bounds
-from simfoundry.geometry.poses import Index, Poses, rotate
+from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+
+LIFT = 0.001
+"""Height by which an object is raised to find contact directions [m]: larger than the penetration that engines allow,
+smaller than the radii of round parts."""
+
+VANISHING = 1e-5
+"""Distance or penetration [m] below which the direction between parts is undefined: distances are accurate to 1e-6."""
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Candidates(NamedTuple):
+    """Pairs of parts, (m,): the state, the part's index in each link, and a lower bound of their distance [m]."""
+
+    state: Index
+    one: Index
+    other: Index
+    bound: Array
+
+
+Shapes = Sequence[tuple[Geometry, Pose]]
+"""Shapes with their poses in a link."""
+
+
+class Exact:
+    """Shapes of links, by name and index, as MuJoCo geoms; MuJoCo neither steps nor places them."""
+
+    def __init__(self, links: Mapping[tuple[str, int], Shapes]) -> None:
+        import mujoco
+
+        spec = mujoco.MjSpec()
+        ids = iter(range(sum(map(len, links.values()))))
+        self._geoms = {key: np.array([next(ids) for _ in shapes], dtype=np.int64) for key, shapes in links.items()}
+        meshes: dict[int, str] = {}
+        for shapes in links.values():
+            for geometry, X_LG in shapes:
+                _add_geom(spec, geometry, X_LG, meshes)
+        self._distance = mujoco.mj_geomDistance
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._X_LG = Poses.of(self._model.geom_pos, self._model.geom_quat)
+
+    def distance(self, pair: LinkPair, near: Candidates, most: Array, enough: float = -np.inf) -> Array:
+        """Signed distance [m] between two links, (n,), negative if they overlap; at most ``most`` [m], (n,).
+
+        ``near`` are the parts that may be closer than that. The search ends at parts no farther apart than ``enough``
+        [m].
+        """
+        first, second, place = self._placing(pair, pair.X_WA)
+        measure, model, data = self._distance, self._model, self._data
+        out = most.tolist()
+        last = -1
+        for state, i, j, bound in zip(*(column.tolist() for column in near), strict=True):
+            best = out[state]
+            if bound >= best or best <= enough:
+                continue
+            if state != last:
+                place(state)
+                last = state
+            out[state] = min(best, measure(model, data, first + i, second + j, max(best, 1e-3), None))
+        return np.array(out)
+
+    def pushes(
+        self, pair: LinkPair, near: Candidates, limit: float, enough: float = np.inf
+    ) -> tuple[Index, Array, Array]:
+        """Directions in which parts of one link push parts of another that are no farther than ``limit`` [m].
+
+        Returns the state of each such pair, (m,), its distance [m], (m,), and the unit vector from the second to the
+        first, (m, 3). A direction whose cosine with up is at least ``enough`` ends the search in its state.
+
+        The first link is raised by :data:`LIFT` for the measurement, because the direction between parts that just
+        touch is undefined.
+        """
+        first, second, place = self._placing(pair, Poses(pair.X_WA.p + LIFT * UP, pair.X_WA.R))
+        measure, model, data, ends = self._distance, self._model, self._data, np.zeros(6)
+        reach = limit + 2 * LIFT
+        found: list[tuple[int, float, list[float]]] = []
+        last = done = -1
+        for state, i, j in zip(near.state.tolist(), near.one.tolist(), near.other.tolist(), strict=True):
+            if state == done:
+                continue
+            if state != last:
+                place(state)
+                last = state
+            raised = measure(model, data, first + i, second + j, reach, ends)
+            if raised > limit + LIFT:
+                continue
+            if abs(raised) < VANISHING:  # raising has made it just touch: raise it slightly more
+                data.geom_xpos[first + i, 2] += VANISHING
+                raised = measure(model, data, first + i, second + j, reach, ends)
+                data.geom_xpos[first + i, 2] -= VANISHING
+            fx, fy, fz, tx, ty, tz = ends.tolist()
+            way = [(fx - tx) / raised, (fy - ty) / raised, (fz - tz) / raised] if raised else [0.0, 0.0, 0.0]
+            gap = raised - LIFT * way[2]
+            if gap > limit:
+                continue
+            found.append((state, gap, way))
+            if way[2] >= enough:
+                done = state
+        states, gaps, ways = zip(*found, strict=True) if found else ((), (), ())
+        return np.array(states, dtype=np.int64), np.array(gaps, dtype=float), np.array(ways).reshape(-1, 3)
+
+    def _placing(self, pair: LinkPair, X_WA: Poses) -> tuple[int, int, Callable[[int], None]]:
+        """Return the first geom of each link, and a function that places both links in a state."""
+        geoms_a, geoms_b = self._geoms[pair.a], self._geoms[pair.b]
+        at = (*self._poses(geoms_a, X_WA), *self._poses(geoms_b, pair.X_WB))
+        first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link follow one another
+        rows_a, rows_b = slice(first, first + len(geoms_a)), slice(second, second + len(geoms_b))
+        xpos, xmat = self._data.geom_xpos, self._data.geom_xmat
+
+        def place(state: int) -> None:
+            xpos[rows_a], xmat[rows_a], xpos[rows_b], xmat[rows_b] = (x[state] for x in at)
+
+        return first, second, place
+
+    def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
+        """Positions and rotations of the geoms of a link: (n, geoms, 3) and (n, geoms, 9)."""
+        p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
+        turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
+        return p, turn.reshape(len(p), -1, 9)
+
+
+def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
+    """Add a geom to a model's world body; ``meshes`` are the names of its meshes, by identity."""
+    import mujoco
+
+    kinds = mujoco.mjtGeom
+    size, mesh = [0.0, 0.0, 0.0], ""
+    match geometry:
+        case Box():
+            kind, size = kinds.mjGEOM_BOX, (geometry.size / 2).tolist()
+        case Sphere():
+            kind, size = kinds.mjGEOM_SPHERE, [geometry.radius, 0.0, 0.0]
+        case Cylinder():
+            kind, size = kinds.mjGEOM_CYLINDER, [geometry.radius, geometry.height / 2, 0.0]
+        case Capsule():
+            kind, size = kinds.mjGEOM_CAPSULE, [geometry.radius, geometry.height / 2, 0.0]
+        case Mesh():
+            kind = kinds.mjGEOM_MESH
+            if id(geometry) not in meshes:
+                meshes[id(geometry)] = f"m{len(meshes)}"
+                spec.add_mesh(
+                    name=meshes[id(geometry)],
+                    uservert=geometry.vertices.ravel(),
+                    userface=geometry.faces.ravel(),
+                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+                )
+            mesh = meshes[id(geometry)]
+    spec.worldbody.add_geom(type=kind, size=size, meshname=mesh, pos=X_LG.p, quat=X_LG.q)
 
 
 def steepest_together(ways: Array) -> float:

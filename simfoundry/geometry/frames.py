@@ -1,4 +1,4 @@
-"""Rigid poses, and the only conversion between quaternion orders.
+"""Rigid poses, one or arrays of them, and the only conversion between quaternion orders.
 
 ``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
 :func:`to_xyzw` and :func:`from_xyzw` convert for formats with the other order (PyBullet, numpy views of USD
@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,11 @@ class Pose:
         p = matrix[:3, 3] if matrix.shape == (4, 4) else np.zeros(3)
         return cls.of(p, quat_from_matrix(matrix[:3, :3]))
 
+    @classmethod
+    def about(cls, axis: Array, angle: float) -> Pose:
+        """Build a rotation by ``angle`` [rad] about a unit axis, shape (3,)."""
+        return cls.of(q=(math.cos(angle / 2), *(axis * math.sin(angle / 2))))
+
     @property
     def matrix(self) -> Array:
         """The homogeneous matrix, shape (4, 4)."""
@@ -84,6 +90,10 @@ class Pose:
     def apply(self, points: Array) -> Array:
         """Map points from B to A, shape (..., 3)."""
         return np.asarray(points) @ self.rotation.T + self.p
+
+    def angle_about(self, axis: Array) -> float:
+        """The angle [rad] of the part of the rotation that is about a unit axis, shape (3,), in [-pi, pi]."""
+        return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
         """The angle between the two rotations [rad], in [0, pi]."""
@@ -164,6 +174,16 @@ def rpy_from_quat(q: Array) -> Array:
     return np.array([math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])])
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products along the last axis, five times as fast as numpy's own for few vectors.
+
+    The sign flips exactly if the arguments are swapped, so that triangles treat a shared edge alike.
+    """
+    ax, ay, az = np.moveaxis(a, -1, 0)
+    bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
 def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
     """Camera pose ``X_WC`` (OpenCV axes: x right, y down, z forward) at ``eye`` looking at ``target``."""
     forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
@@ -189,3 +209,70 @@ def to_xyzw(q: Array) -> Array:
 def from_xyzw(q: object) -> Array:
     """Convert xyzw to wxyz."""
     return np.asarray(q, dtype=np.float64)[..., [3, 0, 1, 2]]
+
+
+Index = NDArray[np.int64]
+
+
+class Poses(NamedTuple):
+    """n poses ``X_AB``: positions ``p`` [m], shape (n, 3), and rotation matrices ``R``, shape (n, 3, 3)."""
+
+    p: Array
+    R: Array
+
+    @classmethod
+    def of(cls, p: Array, q: Array) -> Poses:
+        """Create poses from positions (n, 3) and non-zero wxyz quaternions (n, 4), which need not be normalized."""
+        return cls(np.asarray(p, dtype=np.float64), rotations(np.asarray(q, dtype=np.float64)))
+
+    @classmethod
+    def constant(cls, pose: Pose, n: int) -> Poses:
+        """Repeat one pose n times."""
+        return cls(np.broadcast_to(pose.p, (n, 3)), np.broadcast_to(pose.rotation, (n, 3, 3)))
+
+    def __matmul__(self, other: Poses) -> Poses:
+        return Poses(self.p + rotate(self.R, other.p), self.R @ other.R)
+
+    def times(self, pose: Pose) -> Poses:
+        """Compose with a common ``X_BC``: n poses ``X_AC``."""
+        if pose.is_identity:
+            return self
+        return Poses(self.p + self.R @ pose.p, self.R @ pose.rotation)
+
+    def inverse(self) -> Poses:
+        """Return the n inverse poses ``X_BA``."""
+        turned = self.R.transpose(0, 2, 1)
+        return Poses(-rotate(turned, self.p), turned)
+
+    def at(self, index: Index) -> Poses:
+        """Select the poses of some states."""
+        return Poses(self.p[index], self.R[index])
+
+
+def rotate(turn: Array, v: Array) -> Array:
+    """Rotate each vector by its own rotation matrix: (n, 3, 3), (n, 3) to (n, 3)."""
+    return np.asarray((turn @ v[:, :, None])[:, :, 0])
+
+
+def rotations(q: Array) -> Array:
+    """Rotation matrices, shape (n, 3, 3), of quaternions wxyz, shape (n, 4)."""
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    out = np.empty((len(q), 3, 3))
+    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return out
+
+
+class Turn:
+    """Rotations about one unit axis, shape (3,)."""
+
+    def __init__(self, axis: Array) -> None:
+        x, y, z = axis
+        self._skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        self._square = self._skew @ self._skew
+
+    def by(self, angle: Array) -> Array:
+        """Return the rotation matrices for angles [rad], (n,), shape (n, 3, 3)."""
+        s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+        return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

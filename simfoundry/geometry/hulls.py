@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Index, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-
-Index = NDArray[np.int64]
 
 PROUD = 5e-5
 """Largest protrusion of the corners of the prism around a cylinder [m]."""

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.form import Form
-from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.geometry.poses import Index, Poses, rotate
+from simfoundry.geometry.frames import Array, Index, Pose, Poses, frozen_array, rotate
 from simfoundry.geometry.shapes import Box
 
 SEAM = 1e-6

@@ -13,11 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array
-
-Index = NDArray[np.int64]
+from simfoundry.geometry.frames import Array, Index, cross
 
 NEAREST = 1e-4
 """Near clipping distance along z [m]."""
@@ -96,7 +93,7 @@ def blend(corners: Array, weights: Array) -> Array:
 
 def area_normals(corners: Array) -> Array:
     """Normals of triangles (m, 3, 3), counter-clockwise from outside, with length twice the area: shape (m, 3)."""
-    return _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
@@ -138,7 +135,7 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
     cut = 0
     while cut < len(owner):
         stop = max(cut + 1, int(np.searchsorted(total, total[cut] + _CHUNK, side="right")) - 1)
-        _test(slice(cut, stop), owner, begin, end, edges, plane, rays, best, winner)
+        _test(owner[cut:stop], begin[cut:stop], end[cut:stop], edges, plane, rays, best, winner)
         cut = stop
     return _gather(winner, best, kept, edges, rays)
 
@@ -146,18 +143,11 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
 def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
     """Visible triangles, their edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    edges = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+    edges = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
     volume = a[:, 0] * edges[:, 0, 0] + a[:, 1] * edges[:, 0, 1] + a[:, 2] * edges[:, 0, 2]
     kept = np.flatnonzero((volume != 0) & (triangles[:, :, 2].max(axis=1) > NEAREST))
     edges, volume = edges[kept] * np.sign(volume[kept])[:, None, None], np.abs(volume[kept])
     return kept, edges, (edges[:, 0] + edges[:, 1] + edges[:, 2]) / volume[:, None]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products whose sign flips exactly when the arguments are swapped, so that shared edges are consistent."""
-    ax, ay, az = a.T
-    bx, by, bz = b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:
@@ -211,19 +201,11 @@ def _expand(begin: Index, end: Index) -> tuple[Index, Index]:
 
 
 def _test(
-    part: slice,
-    owner: Index,
-    begin: Index,
-    end: Index,
-    edges: Array,
-    plane: Array,
-    rays: Rays,
-    best: Array,
-    winner: Index,
+    owner: Index, begin: Index, end: Index, edges: Array, plane: Array, rays: Rays, best: Array, winner: Index
 ) -> None:
-    """Test the spans in ``part`` and keep the nearest hits in ``best`` and ``winner``, which are modified."""
-    span, ray = _expand(begin[part], end[part])
-    triangle = owner[part][span]
+    """Test the rays of spans and keep the nearest hits in ``best`` and ``winner``, which are modified."""
+    span, ray = _expand(begin, end)
+    triangle = owner[span]
     x, y = rays.x[ray], rays.y[ray]
     w = plane[triangle, 0] * x + plane[triangle, 1] * y + plane[triangle, 2]
     hit = w > best[ray]

@@ -17,8 +17,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array
-from simfoundry.geometry.hulls import Hulls, Index
+from simfoundry.geometry.frames import Array, Index
+from simfoundry.geometry.hulls import Hulls
 
 SHRINK = 1e-6
 """Share by which the upper object is narrowed, so that an object that fits exactly between two walls does not rest on

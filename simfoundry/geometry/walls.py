@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.frames import Array, cross
 from simfoundry.geometry.hulls import Hulls
 
 DIRECTIONS = 16
@@ -76,23 +76,16 @@ def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
 def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
     a, b, c = (shape.corners[shape.triangles[:, k]] for k in range(3))
     u, v, w = b - a, c - a, start - a
-    across = _cross(rays[:, None], v)
+    across = cross(rays[:, None], v)
     volume = (u * across).sum(axis=-1)
     facing = np.abs(volume) > 1e-14
     volume = np.where(facing, volume, 1.0)
     s = (w * across).sum(axis=-1) / volume
-    turned = _cross(w, u)
+    turned = cross(w, u)
     t = (rays[:, None] * turned).sum(axis=-1) / volume
     far = (v * turned).sum(axis=-1) / volume
     hit = facing & (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (far > 0)
     return np.asarray(np.where(hit, far, math.inf).min(axis=1, initial=math.inf))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross product along the last axis; numpy's own takes five times as long for few vectors."""
-    ax, ay, az = np.moveaxis(a, -1, 0)
-    bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:

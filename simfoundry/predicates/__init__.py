@@ -9,14 +9,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from simfoundry.geometry.poses import Poses
+    from simfoundry.geometry.frames import Poses
     from simfoundry.predicates.judging.bodies import PredicateError
     from simfoundry.predicates.judging.judge import Judge, Verdict
     from simfoundry.predicates.judging.view import StateBatch
 
 _MODULES = {
     "Judge": "simfoundry.predicates.judging.judge",
-    "Poses": "simfoundry.geometry.poses",
+    "Poses": "simfoundry.geometry.frames",
     "PredicateError": "simfoundry.predicates.judging.bodies",
     "StateBatch": "simfoundry.predicates.judging.view",
     "Verdict": "simfoundry.predicates.judging.judge",

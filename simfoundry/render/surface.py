@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.ray_casts import area_normals, dot, turned, unit
-from simfoundry.geometry.shapes import Geometry
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Geometry, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState

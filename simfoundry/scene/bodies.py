@@ -17,8 +17,7 @@ from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import Faces, closed_mesh
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Faces, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.spec.models.asset import Inertial, PartSpec
 from simfoundry.spec.models.base import (
@@ -259,13 +258,13 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
         case CapsuleShape(capsule=c):
             geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
         case PrismShape(prism=p):
-            from simfoundry.assets.prism import prism_mesh
+            from simfoundry.assets.solids import prism_mesh
 
             outline, parts, _ = _cut(shape, cache)
             whole = prism_mesh(outline, p.height)
             return ShapeBody(closed_mesh(*whole), mass.mesh(*whole), parts)
         case LatheShape():
-            from simfoundry.assets.lathe import lathe_mesh
+            from simfoundry.assets.solids import lathe_mesh
 
             profile, parts, error = _cut(shape, cache)
             return ShapeBody(closed_mesh(*lathe_mesh(profile)), mass.revolution(profile), parts, error)
@@ -283,13 +282,13 @@ def _cut(shape: PrismShape | LatheShape, cache: Cache | None) -> _Cut:
         return found
     parts: list[tuple[Array, Faces]]
     if isinstance(shape, PrismShape):
-        from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
+        from simfoundry.assets.solids import checked_outline, convex_outlines, prism_mesh
 
         outline, error = checked_outline(np.array(shape.prism.outline)), 0.0
         parts = [prism_mesh(p, shape.prism.height) for p in convex_outlines(outline)]
     else:
         from simfoundry.assets.convex import hull
-        from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_parts
+        from simfoundry.assets.solids import checked_profile, lathe_error, lathe_parts
 
         outline = checked_profile(np.array(shape.lathe.profile))
         parts = [hull(points) for points in lathe_parts(outline)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,8 +20,7 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
         case JointType.PRISMATIC:
             return Pose.of(joint.axis * position)
         case JointType.REVOLUTE | JointType.CONTINUOUS:
-            half = position / 2
-            return Pose.of(q=np.concatenate([[math.cos(half)], math.sin(half) * joint.axis]))
+            return Pose.about(joint.axis, position)
     return IDENTITY
 
 

@@ -20,14 +20,13 @@ from simfoundry.assets.convex import (
     unpack_colliders,
 )
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
-from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, read_parts, weld
+from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import closed_mesh
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, closed_mesh
 from simfoundry.scene.bodies import GRAY, MeshUse
 from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose
@@ -54,10 +53,7 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
-    vertices, faces = weld(vertices, faces)
+    vertices, faces = weld(*merged(pieces))
     solid = None
     if use.solid != "given":
         solid, faces = _solid(path.name, vertices, faces, use.solid)

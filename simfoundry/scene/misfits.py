@@ -28,7 +28,7 @@ GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 
 RESOLUTION = 0.02
 """Depth, as a share of the longest side, below which a decomposition fills hollows: CoACD splits only hollows that are
-deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.decompose`)."""
+deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`)."""
 
 
 def uncut(item: SceneObject) -> SceneObject:

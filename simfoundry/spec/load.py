@@ -21,7 +21,9 @@ from simfoundry.spec.yaml.text import Document, Path_, parse, read
 Known = dict[tuple[str, str], Loaded | None]
 """Documents read so far, by resolved path and requested kind, so that each is read only once."""
 
-_OTHER_FORMATS = dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled:load_usd")
+_OTHER_FORMATS = dict.fromkeys(
+    (".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled.loading:load_usd"
+)
 """Functions that read documents from files other than YAML, by suffix.
 
 They belong to a higher layer, so they are listed by name and imported on first use.

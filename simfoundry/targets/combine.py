@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from itertools import combinations
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.losses import Loss, approximate
+from simfoundry.backends.features import Loss, approximate
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Combines
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import FEATURES, Fidelity
-from simfoundry.backends.losses import Loss
+from simfoundry.backends.features import FEATURES, Fidelity, Loss
 from simfoundry.scene.model import Scene
 from simfoundry.targets.find import Target
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.losses import Loss, count_fates
+from simfoundry.backends.features import Loss, count_fates
 from simfoundry.scene.model import Scene
 
 Fates = Mapping[str, Mapping[str, int]]
@@ -16,7 +16,7 @@ def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     """Return the content of ``loss.json``, by target.
 
     ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated or lose
-    it. ``losses`` lists every :class:`~simfoundry.backends.losses.Loss` with its fields.
+    it. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
     """
     return {
         artifact.target: {

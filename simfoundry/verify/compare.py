@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.features import Fidelity
-from simfoundry.backends.losses import Loss
-from simfoundry.backends.pybullet.inset import SKIN, inset_hull
+from simfoundry.backends.features import Fidelity, Loss
+from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.losses import Loss
+from simfoundry.backends.features import Loss
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import target_files
 from simfoundry.verify.behaviors import Behavior, Measurement, Trial

@@ -18,8 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from simfoundry.backends.pybullet import compile_pybullet
-from simfoundry.backends.pybullet.pictures import camera_arguments, lighting_arguments
+from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees

@@ -1,6 +1,6 @@
 """Convex decomposition at its coarsest, for tests in which only matters that CoACD takes a mesh, not how well it fits.
 
-Patch ``FUNCTION`` of :mod:`simfoundry.assets.decompose` with :data:`COARSE`, and lower without a cache: what is kept is
+Patch ``FUNCTION`` of :mod:`simfoundry.assets.convex` with :data:`COARSE`, and lower without a cache: what is kept is
 called by the settings of the product.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 from unittest import mock
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 
 COARSE = "tests.assets.coarse:run"
 
@@ -20,7 +20,7 @@ SETTINGS: dict[str, float | int] = {
 }
 
 
-def run(vertices: decompose.Array, faces: decompose.Faces) -> list[Any]:
+def run(vertices: convex.Array, faces: convex.Faces) -> list[Any]:
     """Decompose in this process."""
-    with mock.patch.dict(decompose.SETTINGS, SETTINGS):
-        return decompose.run(vertices, faces)
+    with mock.patch.dict(convex.SETTINGS, SETTINGS):
+        return convex.run(vertices, faces)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.assets.convex import Part, hull
-from simfoundry.assets.lathe import SECTORS, checked_profile, lathe_error, lathe_parts
+from simfoundry.assets.solids import SECTORS, checked_profile, lathe_error, lathe_parts
 from tests.assets.meshes import Array
 
 PROFILES = {

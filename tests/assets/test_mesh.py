@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from simfoundry.assets import decompose, mass
+from simfoundry.assets import convex as convex_file
+from simfoundry.assets import mass
 from simfoundry.assets import mesh as mesh_file
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, hull, mesh_colliders
 from simfoundry.assets.deviation import ALLOWED, simplified
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.solids import lathe_mesh
 from tests.assets.meshes import blob, block, obj, rotation
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))
@@ -237,7 +238,7 @@ def test_flat_points_have_no_hull(points: Any) -> None:
 
 
 def ell() -> tuple[Any, Any]:
-    from simfoundry.assets.prism import prism_mesh
+    from simfoundry.assets.solids import prism_mesh
 
     return prism_mesh(np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.1, 0.1)
 
@@ -319,7 +320,7 @@ def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("decomposed again")
 
-    monkeypatch.setattr(decompose, "decompose", refuse)
+    monkeypatch.setattr(convex_file, "decompose", refuse)
     again = mesh_colliders(vertices, faces, "auto", cache)
     assert again.error == found.error
     assert [(v.tobytes(), f.tobytes()) for v, f in again.parts] == [(v.tobytes(), f.tobytes()) for v, f in parts]

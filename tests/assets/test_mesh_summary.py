@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets import mesh_summary as module
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MAX_BYTES, MeshError
 from simfoundry.assets.mesh_summary import MeshFacts, measure, mesh_facts
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
@@ -53,7 +53,7 @@ def scene(folder: Path, mesh: str, fields: str) -> Path:
 def test_a_check_finds_what_lowering_finds(
     mesh: str, fields: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
+    monkeypatch.setattr(convex, "FUNCTION", COARSE)
     path = scene(tmp_path, mesh, fields)
     try:
         lower(load(path))
@@ -150,7 +150,7 @@ def test_a_second_check_reads_no_mesh(tmp_path: Path) -> None:
     path = scene(tmp_path, "cube.obj", "")
     code = (
         "import sys; from pathlib import Path\n"
-        "from simfoundry.lint.run import lint; from simfoundry.spec.load import load\n"
+        "from simfoundry.lint.lints import lint; from simfoundry.spec.load import load\n"
         f"lint(load(Path({str(path)!r})))\n"
         "print(*sorted({'numpy', 'trimesh', 'scipy'} & set(sys.modules)))"
     )

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from simfoundry.assets import mass
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import open_edges
-from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
+from simfoundry.assets.solids import checked_outline, convex_outlines, prism_mesh
 from tests.assets.meshes import Array
 
 

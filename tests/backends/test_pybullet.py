@@ -10,9 +10,8 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.features import Fidelity
-from simfoundry.backends.pybullet import compile_pybullet
-from simfoundry.backends.pybullet.inset import SKIN, inset_hull
-from simfoundry.backends.pybullet.pictures import projection_matrix
+from simfoundry.backends.pybullet import compile_pybullet, projection_matrix
+from simfoundry.backends.pybullet.surfaces import SKIN, inset_hull
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh, Sphere
 from simfoundry.scene.model import Scene

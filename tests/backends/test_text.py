@@ -8,8 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from simfoundry.backends.artifact import json_text, number, numbers
-from simfoundry.backends.usd.prims import Prim, attribute, connect, define, relate
-from simfoundry.backends.usd.usda import usda
+from simfoundry.backends.usd.prims import Prim, usda
 from simfoundry.backends.xmltext import xml_text
 
 ODD = (
@@ -53,17 +52,17 @@ def test_usda_is_what_usd_reads() -> None:
     from pxr import Sdf
 
     world = Prim("World", "Xform", "/World", kind="assembly", custom_data={"simfoundry": {"lines": list(ODD)}})
-    thing = define(world, "thing", "Xform", ["PhysicsRigidBodyAPI"])
+    thing = world.define("thing", "Xform", ["PhysicsRigidBodyAPI"])
     for k, text in enumerate(ODD):
-        attribute(thing, f"simfoundry:text{k}", "string", text)
-    attribute(thing, "size", "double3", (1.0, -0.5, 1e-9))
-    attribute(thing, "turn", "quatd", (1.0, 0.0, 0.25, 0.0))
-    attribute(thing, "on", "bool", True)
-    attribute(thing, "words", "token[]", ["a", "b"], uniform=True)
-    relate(thing, "simfoundry:to", [world, "/World/other"])
-    connect(thing, "outputs:out", "token", "/World/thing.on")
+        thing.attribute(f"simfoundry:text{k}", "string", text)
+    thing.attribute("size", "double3", (1.0, -0.5, 1e-9))
+    thing.attribute("turn", "quatd", (1.0, 0.0, 0.25, 0.0))
+    thing.attribute("on", "bool", True)
+    thing.attribute("words", "token[]", ["a", "b"], uniform=True)
+    thing.relate("simfoundry:to", [world, "/World/other"])
+    thing.connect("outputs:out", "token", "/World/thing.on")
     for name in ("red", "blue"):
-        attribute(define(world.variant(name), "lid", "Sphere"), "radius", "double", 0.5)
+        world.variant(name).define("lid", "Sphere").attribute("radius", "double", 0.5)
     world.selected = "red"
     layer = Sdf.Layer.CreateAnonymous(".usda")
     assert layer.ImportFromString(usda(world, {"simfoundry": {"about": ODD[6]}}).decode())

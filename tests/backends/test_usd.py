@@ -18,7 +18,7 @@ import pytest
 from simfoundry.backends.features import Fidelity
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.backends.usd import compile_usd
-from simfoundry.backends.usd.joints import joint_frame
+from simfoundry.backends.usd.bodies import joint_frame
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.colliders FOLDER [--like banana]
 
 FOLDER holds a folder for each object with an OBJ in it, as the YCB-Video objects come. The thresholds in
-:mod:`simfoundry.assets.convex` and :mod:`simfoundry.assets.decompose` were chosen by it.
+:mod:`simfoundry.assets.convex` and :mod:`simfoundry.assets.convex` were chosen by it.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def seconds(runs: int, *args: str) -> float:
 
 def inside(runs: int, path: Path) -> dict[str, float]:
     """Median times of the parts of a check in a process that has everything loaded."""
-    from simfoundry.lint.run import lint
+    from simfoundry.lint.lints import lint
     from simfoundry.spec.load import load
     from simfoundry.spec.yaml.text import read
 

@@ -9,8 +9,7 @@ from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import cast_mesh, first_faces
 from simfoundry.capture.shapes.texture import face_normals
 from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at
-from simfoundry.geometry.shapes import Geometry
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Geometry, tessellate
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
 K = np.array([[FOCAL, 0, 158.7], [0, FOCAL * 1.002, 121.4], [0, 0, 1]])

@@ -21,8 +21,7 @@ from simfoundry.capture.shapes.evidence import (
 )
 from simfoundry.capture.shapes.fit import PRIOR, FitCandidate, FittedShape, choose, fit_shape, size_of
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
-from simfoundry.geometry.tessellate import revolved, tessellate
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere, revolved, tessellate
 from tests.capture.depth_camera import EYE, NOISE, Solid, blinded, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))

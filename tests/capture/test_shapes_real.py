@@ -20,8 +20,7 @@ from simfoundry.capture.shapes.evidence import cast_mesh
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.geometry.shapes import Box, Cylinder, Mesh
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, tessellate
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, face_normals, textured_mesh, unwrap
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import revolved, tessellate
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, revolved, tessellate
 from tests.capture.depth_camera import see, yaw_pose
 
 # +x red, -x green, +y blue, -y yellow, +z white, -z black

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import decompose
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets import convex
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.runtime.workers import Limits, report_progress
 from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, CompileJob, CompileOutcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
@@ -148,13 +148,13 @@ def test_textures_and_profiles_count(project: Path) -> None:
 def test_only_the_changed_object_is_decomposed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
     decomposed: list[str] = []
-    real = decompose.decompose
+    real = convex.decompose
 
     def counted(name: str, vertices: np.ndarray, faces: np.ndarray, _report: object) -> list[np.ndarray]:
         decomposed.append(name)
         return real(name, vertices, faces)
 
-    monkeypatch.setattr(decompose, "decompose", counted)
+    monkeypatch.setattr(convex, "decompose", counted)
     job = CompileJob(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
     assert compile_job(job).state == COMPILED and decomposed == ["one.obj", "two.obj"]
     (project / "two.obj").write_text(ell(0.07))
@@ -214,7 +214,7 @@ def test_a_crash_of_the_decomposition_is_a_finding_of_the_object(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
-    monkeypatch.setattr(decompose, "FUNCTION", "tests.cli.test_compile_many:crash")
+    monkeypatch.setattr(convex, "FUNCTION", "tests.cli.test_compile_many:crash")
     done = run("compile", "a.scene.yaml", "-o", "build", "-t", "mjcf")
     assert done.code == 2
     done.one_line("a.scene.yaml:6:", "error[SF301]", "one.obj cannot be decomposed: CoACD crashed (SIGSEGV)")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from simfoundry.cli.import_ import command
+from simfoundry.cli.convert import import_command
 
 GOOD = """<robot name="cup"><link name="Cup"><inertial><mass value="0.2"/>
   <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -16,7 +16,7 @@ GOOD = """<robot name="cup"><link name="Cup"><inertial><mass value="0.2"/>
 
 
 def _run(*arguments: object) -> Result:
-    return CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False)
+    return CliRunner().invoke(import_command, [str(a) for a in arguments], standalone_mode=False)
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_it_says_what_came_and_what_was_left_out(cup: Path, tmp_path: Path) -> N
     assert result.output.splitlines() == [
         f"{out}  from URDF: 1 body, 1 link",
         "1 element was left out:",
-        "  `<stiffness>` of a link: the language has no word for it",
+        "  `<stiffness>` of a link: the scene language cannot express it",
         "1 name changed: cup/Cup -> cup",
     ]
     assert "mass: 0.2" in out.read_text()
@@ -49,7 +49,7 @@ def test_strict_makes_what_was_left_out_a_finding(cup: Path, tmp_path: Path) -> 
 def test_json_has_every_note_and_name(cup: Path, tmp_path: Path) -> None:
     report = json.loads(_run(cup, "-o", tmp_path / "a.scene.yaml", "--json").output)
     assert report["notes"] == [
-        {"kind": "dropped", "what": "`<stiffness>` of a link", "why": "the language has no word for it"}
+        {"kind": "dropped", "what": "`<stiffness>` of a link", "why": "the scene language cannot express it"}
     ]
     assert (report["format"], report["bodies"]) == ("URDF", 1)
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from tests.assets.meshes import blob, obj
 from tests.conftest import REPOSITORY
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load

@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Pose, quat_from_rpy
-from simfoundry.geometry.poses import rotate
+from simfoundry.geometry.frames import Pose, quat_from_rpy, rotate
 from simfoundry.predicates import Judge, Poses, StateBatch
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.predicate import parse_call

@@ -19,7 +19,7 @@ from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.enumeration import Proposal, checked, enumerate_tasks, scene_reference, write
 from simfoundry.cousins.tasks.trial import LASTS
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec

@@ -80,7 +80,7 @@ def test_the_python_of_usd_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", RUN_HERE)
 def test_python_and_documents_of_a_page_run_in_their_order(name: str, tmp_path: Path) -> None:
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet has wheels only for Python 3.11 on Linux")
     page = next(p for p in PAGES if p.name == name)
     scope: dict[str, object] = {}
     with contextlib.chdir(tmp_path):
@@ -136,8 +136,8 @@ def test_the_readme_is_a_screen_and_a_half() -> None:
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("mkdocs")
-    pytest.importorskip("mkdocstrings")
+    pytest.importorskip("mkdocs", reason="the pages are built with the extra `docs`")
+    pytest.importorskip("mkdocstrings", reason="the pages are built with the extra `docs`")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
     quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}  # of the theme, about the generator after this one
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, env=quiet)

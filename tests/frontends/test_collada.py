@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.frontends.collada import read_collada
+from simfoundry.frontends.meshes import read_collada
 
 HEAD = '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
 MESH = """<library_geometries><geometry id="g"><mesh>

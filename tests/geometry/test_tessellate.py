@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.geometry.frames import frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, tessellate
 
 SHAPES: list[tuple[Geometry, float]] = [
     (Box(frozen_array([0.3, 0.2, 0.1])), 0.3 * 0.2 * 0.1),

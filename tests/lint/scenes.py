@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 
 from simfoundry.lint.draft import DraftScene, drafted
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.load import load
 

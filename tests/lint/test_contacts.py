@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.lint.overlap import DEEP
-from simfoundry.lint.unsupported import HOVERING
+from simfoundry.lint.contacts import DEEP, HOVERING
 from tests.lint.scenes import BOWL, codes, draft, found, written
 
 CUP = "shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
 from tests.assets.meshes import obj

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.spec.load import load
 from tests.conftest import REPOSITORY
 from tests.lint.scenes import ARM, codes, findings, task, written
@@ -94,7 +94,7 @@ def test_primitives_need_numpy_alone(tmp_path: Path) -> None:
     written(tmp_path, things, ARM + f"relations: {relations}\n")
     code = (
         "import sys; from pathlib import Path\n"
-        "from simfoundry.lint.run import lint; from simfoundry.spec.load import load\n"
+        "from simfoundry.lint.lints import lint; from simfoundry.spec.load import load\n"
         f"found = lint(load(Path({str(path)!r})))\n"
         "heavy = {'trimesh', 'scipy', 'shapely', 'rich', 'mujoco'} & set(sys.modules)\n"
         "print(len(found), *sorted(heavy))"

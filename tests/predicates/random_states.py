@@ -7,8 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.geometry.poses import rotate, rotations
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rotate, rotations
 from simfoundry.predicates import Poses, StateBatch
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file

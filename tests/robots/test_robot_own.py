@@ -57,7 +57,7 @@ def bench(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
 def test_its_hand_and_gripper_are_those_of_its_file(bench: Path, engine: str) -> None:
-    pytest.importorskip(engine)
+    pytest.importorskip(engine, reason=f"{engine} is not installed")
     scene = lower_file(bench.with_name("bench.scene.yaml"))
     with open_world(scene, engine) as world:
         arm = world.robot("arm")

@@ -145,7 +145,7 @@ def test_a_joint_that_is_not_there_is_named(lift: Scene, panda_lift: Scene) -> N
 
 
 def _pybullet(scene: Scene) -> Any:
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet has wheels only for Python 3.11 on Linux")
     from simfoundry.worlds.pybullet_world import PybulletWorld
 
     return PybulletWorld(scene)
@@ -158,7 +158,7 @@ def _same_pose(found: Pose, expected: Pose) -> None:
 
 def test_the_2f85_presses_as_hard_in_pybullet_as_in_mujoco(lift: Scene) -> None:
     """Rotors are most of a finger's inertia; without them Bullet's contacts press with a hundredth of the force."""
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet has wheels only for Python 3.11 on Linux")
     forces = {}
     for world in (MujocoWorld(lift), _pybullet(lift)):
         p, _ = grasp_and_lift(world, grasp=0.185, rise=0.12, share=0.62)

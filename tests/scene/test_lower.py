@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Pose, look_at, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Mesh, Sphere
@@ -307,7 +307,7 @@ ELL = "asset: ell.obj, density: 700, collision: decompose"
 
 
 def write_ell(folder: Path) -> None:
-    from simfoundry.assets.prism import prism_mesh
+    from simfoundry.assets.solids import prism_mesh
 
     outline = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]]) * 0.05
     (folder / "ell.obj").write_text(obj(*prism_mesh(outline, 0.05)))
@@ -319,7 +319,7 @@ def test_decomposition_goes_through_the_cache(tmp_path: Path, monkeypatch: pytes
     text = f"objects:\n  a: {{{ELL}}}\n  b: {{{ELL}, pose: {{xyz: [1, 0, 0]}}}}\n"
     first = lowered(tmp_path, text, cache)
     assert len([p for p in cache.folder.rglob("*") if p.is_file()]) == 2  # by its content, and by its file for drafts
-    monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("decomposed again"))
+    monkeypatch.setattr(convex, "decompose", lambda *_: pytest.fail("decomposed again"))
     assert digest(lowered(tmp_path, text, cache)) == digest(first)
     names = [c.name for c in first.objects[0].links[0].colliders]
     assert len(names) >= 2 and names == [f"mesh_{k}" for k in range(len(names))]

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.lathe import lathe_mesh
+from simfoundry.assets.solids import lathe_mesh
 from simfoundry.geometry.frames import Array, Pose, look_at, quat_from_rpy
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
@@ -304,7 +304,7 @@ def test_what_does_not_fit_is_said_before_other_meshes_are_cut(tmp_path: Path, m
         f"  cup: {CUP}\n"
         "  crate: {shape: {box: [0.2, 0.2, 0.2]}, mass: 1, place: {inside: cup}}\n"
     )
-    monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("a mesh was cut"))
+    monkeypatch.setattr(convex, "decompose", lambda *_: pytest.fail("a mesh was cut"))
     with pytest.raises(SpecError) as error:
         lower_file(path)
     assert sorted((d.code, d.path) for d in error.value.diagnostics) == [
@@ -335,7 +335,7 @@ def test_what_cannot_fit_is_said_before_its_container_is_cut(
         cuts.append(name)
         raise MeshError("SF301", "not cut here", "")
 
-    monkeypatch.setattr(decompose, "decompose", cut)
+    monkeypatch.setattr(convex, "decompose", cut)
     with pytest.raises(SpecError) as error:
         lower_file(path)
     (finding,) = error.value.diagnostics

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.pages import titles
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, render

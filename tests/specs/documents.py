@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject

@@ -275,7 +275,7 @@ def test_no_loss_where_all_surfaces_are_equal() -> None:
 
 
 def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
-    hatchling = pytest.importorskip("hatchling.builders.wheel")
+    hatchling = pytest.importorskip("hatchling.builders.wheel", reason="hatchling builds the wheel")
     builder = hatchling.WheelBuilder(str(ROOT))
     (wheel,) = builder.build(directory=str(tmp_path), versions=["standard"])
     names = set(zipfile.ZipFile(wheel).namelist())

@@ -36,7 +36,7 @@ def read(scene: Scene, name: str, folder: Path, falsified: Mapping[str, Falsify]
 
     One process reads them all: to start one takes longer than to read a build.
     """
-    pytest.importorskip({"usd": "pxr"}.get(name, name))
+    pytest.importorskip({"usd": "pxr"}.get(name, name), reason=f"{name} is not installed")
     engine = find_engine(name)
     subjects = [built(f"n{k}", scene, [engine], folder / name / f"n{k}") for k in range(len(falsified) + 1)]
     builds = [subject.builds[name] for subject in subjects]

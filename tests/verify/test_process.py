@@ -101,7 +101,7 @@ def test_facts_survive_the_way_between_processes() -> None:
 def test_bounds_contain_the_shape_and_touch_it() -> None:
     import numpy as np
 
-    from simfoundry.geometry.tessellate import tessellate
+    from simfoundry.geometry.shapes import tessellate
     from tests.scenes import box, pose
 
     X = pose(0.3, -0.2, 0.1, 0.7, -0.4, 1.9)

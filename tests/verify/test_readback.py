@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.backends.losses import drop
+from simfoundry.backends.features import drop
 from simfoundry.scene.model import Scene
 from simfoundry.targets import profile
 from simfoundry.targets.profile import QUANTITIES
@@ -169,7 +169,7 @@ FALSE: dict[str, tuple[str, Falsify, str, str]] = {
 @pytest.mark.parametrize("what", FALSE)
 def test_a_false_build_is_found(what: str, scene: Scene, tmp_path: Path) -> None:
     name, falsify, where, quantity = FALSE[what]
-    pytest.importorskip({"usd": "pxr"}.get(name, name))
+    pytest.importorskip({"usd": "pxr"}.get(name, name), reason=f"{name} is not installed")
     engine = find_engine(name)
     false = built("full", scene, [engine], tmp_path)
     falsify(false.builds[name])

@@ -24,10 +24,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, number, numbers
-from simfoundry.backends.backend import Backend
-from simfoundry.backends.losses import Loss, splat_losses, variant_losses
-from simfoundry.backends.mjcf.bodies import add_background, add_object
+from simfoundry.backends.artifact import Artifact, Backend, number, numbers
+from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
+from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.contacts import (
     COLLISION,
@@ -39,16 +38,13 @@ from simfoundry.backends.mjcf.contacts import (
     excluded_pairs,
     excluded_set,
     resists_rolling,
+    restitution_losses,
 )
-from simfoundry.backends.mjcf.custom import add_texts
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
-from simfoundry.backends.mjcf.features import FEATURES, restitution_losses
-from simfoundry.backends.mjcf.meshes import Assets
-from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
-from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
+from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
 from simfoundry.backends.names import InvalidSceneError, check_names
-from simfoundry.backends.robot_models.robot_urdf import without_model
+from simfoundry.backends.robot_models.robot_object import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
 from simfoundry.runtime.files import shipped
@@ -191,4 +187,4 @@ def _add_keyframe(root: ET.Element, qpos: list[float], ctrl: list[float]) -> Non
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", {"name": "initial"} | state)
 
 
-BACKEND = Backend(compile_mjcf, FEATURES)
+BACKEND = Backend(compile_mjcf, read_cells(Path(__file__).parent))

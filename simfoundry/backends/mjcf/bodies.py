@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
-from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import Tree, trees
-from simfoundry.scene.meshfile import has_texture
-from simfoundry.scene.model import Background, Collider, Joint, JointType, Link, SceneObject, Visual
+from simfoundry.scene.meshfile import has_texture, obj_bytes
+from simfoundry.scene.model import Background, Collider, Drive, Joint, JointType, Link, Scene, SceneObject, Visual
 
 _JOINT_TYPES = {
     JointType.REVOLUTE: "hinge",
@@ -150,3 +150,101 @@ def pose_attributes(pose: Pose) -> dict[str, str]:
 def _turn(q: Array) -> dict[str, str]:
     values = q.tolist()
     return {"quat": numbers(values)} if any(values[1:]) else {}
+
+
+class Assets:
+    """The ``<asset>`` element under construction, and the files that it refers to, by file name."""
+
+    def __init__(self, element: ET.Element) -> None:
+        self.files: dict[str, bytes] = {}
+        self._element = element
+        self._counts: dict[str, int] = {}
+        self._names: dict[object, str] = {}
+        self._taken: set[str] = set()
+
+    def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
+        """Return the name of the asset for ``mesh``; a new asset is named after ``wish``."""
+        key = (mesh.digest, collides)
+        if key not in self._names:
+            name = self._names[key] = self._new_name(wish, numbered=collides)
+            file = self._names.get((mesh.digest, not collides), name)
+            # Visual meshes may be open or flat; for those, MuJoCo can compute the mass only from the surface. It needs
+            # neither.
+            inertia = "convex" if collides else "shell"
+            ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
+            self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
+        return self._names[key]
+
+    def material(self, png: bytes, rgba: Array, wish: str) -> str:
+        """Return the name of the material with a texture multiplied by a color."""
+        tint = numbers(rgba)
+        if (png, tint) not in self._names:
+            if png not in self._names:
+                texture = self._names[png] = self._new_name(f"{wish}_texture")
+                ET.SubElement(self._element, "texture", name=texture, type="2d", file=f"{texture}.png")
+                self.files[f"{texture}.png"] = png
+            name = self._names[png, tint] = self._new_name(f"{wish}_material")
+            ET.SubElement(self._element, "material", name=name, texture=self._names[png], rgba=tint)
+        return self._names[png, tint]
+
+    def _new_name(self, wish: str, numbered: bool = False) -> str:
+        """Return ``wish`` as a file name, with a number appended if it is taken or if ``numbered`` is set."""
+        plain = wish.replace(".", "_").replace(":", "_").strip("_")
+        while True:
+            k = self._counts[plain] = self._counts.get(plain, -1) + 1
+            name = f"{plain}_{k}" if k or numbered else plain
+            if name not in self._taken:
+                self._taken.add(name)
+                return name
+
+
+_RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
+"""The stiffness of a mimic joint; the time constant is two time steps, the smallest stable value."""
+
+
+def add_mimics(root: ET.Element, scene: Scene) -> None:
+    """Add ``<equality>`` with one entry, named ``object.joint``, for each mimic joint.
+
+    MuJoCo's polynomial applies to deviations from the model's initial configuration, in which all joints are at 0.
+    """
+    followers = [(o.name, j, j.mimic) for o in scene.objects for j in o.joints if j.mimic is not None]
+    if not followers:
+        return
+    equality = ET.SubElement(root, "equality")
+    for owner, joint, mimic in followers:
+        names = {"name": f"{owner}.{joint.name}", "joint1": f"{owner}.{joint.name}", "joint2": f"{owner}.{mimic.joint}"}
+        ET.SubElement(
+            equality, "joint", names | {"polycoef": numbers([mimic.offset, mimic.multiplier, 0, 0, 0])} | _RIGID
+        )
+
+
+def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
+    """Add ``<actuator>`` with one entry, named ``object.joint``, for each drive; return the initial ``ctrl``.
+
+    The control is the target of the drive, within the limits of the joint. ``timestep`` [s] bounds the stiffness.
+    """
+    driven: list[tuple[str, Joint, Drive]] = []
+    for item in scene.objects:
+        stable = stable_drives(item, timestep, implicit_damping=True)
+        driven += [(item.name, joint, stable[joint.name]) for joint in item.joints if joint.name in stable]
+    if not driven:
+        return []
+    actuator = ET.SubElement(root, "actuator")
+    for owner, joint, drive in driven:
+        name = f"{owner}.{joint.name}"
+        ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
+    return [drive.target if drive.stiffness else 0.0 for _, _, drive in driven]
+
+
+def _spring(joint: Joint, drive: Drive) -> dict[str, str]:
+    """Return MuJoCo's gain and bias of a spring and damper: ``stiffness * (ctrl - q) - damping * v``."""
+    attributes = {
+        "biastype": "affine",
+        "gainprm": number(drive.stiffness),
+        "biasprm": numbers([0.0, -drive.stiffness, -drive.damping]),
+    }
+    if drive.stiffness and joint.limits is not None:
+        attributes["ctrlrange"] = numbers(joint.limits)
+    if drive.force_limit is not None:
+        attributes["forcerange"] = numbers([-drive.force_limit, drive.force_limit])
+    return attributes

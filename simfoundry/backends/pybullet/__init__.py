@@ -1,5 +1,8 @@
 """PyBullet: URDFs, a loader, and ``world.json`` with data that URDF cannot represent.
 
+``world.json`` adds the surfaces and motions of the objects, the motors and frames of the robots, and the arguments of
+``getCameraImage`` for each camera.
+
 A link has one friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`. Bullet
 adds a margin around convex meshes that cannot be disabled; the meshes are shrunk by this margin so that their effective
 faces are in the correct place.
@@ -7,30 +10,25 @@ faces are in the correct place.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from simfoundry.backends.artifact import Artifact, json_text, rounded, rounded_list
-from simfoundry.backends.backend import Backend
+import numpy as np
+
+from simfoundry.backends.artifact import Artifact, Backend, json_text, rounded, rounded_list
+from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.names import check_names
-from simfoundry.backends.pybullet.features import FEATURES, bullet_losses
-from simfoundry.backends.pybullet.inset import split_under_skin
-from simfoundry.backends.pybullet.pictures import camera_arguments, lighting_arguments
-from simfoundry.backends.pybullet.robots import GRASP_ITERATIONS, bullet_robots, robot_entry, with_rotors
-from simfoundry.backends.pybullet.surfaces import Resistances, scene_resistances, surface_data
+from simfoundry.backends.pybullet import surfaces
+from simfoundry.backends.pybullet.features import FEATURES, bullet_losses, main_light
+from simfoundry.backends.robot_models.robot_object import RobotUrdf, Write, robot_urdf, without_model
 from simfoundry.backends.stable_drives import stable_drives
+from simfoundry.backends.urdf import manifests
 from simfoundry.backends.urdf.elements import Dialect, background_urdf, urdf_files, whole
-from simfoundry.backends.urdf.manifests import (
-    drive_data,
-    excluded_between,
-    excluded_within,
-    mimic_data,
-    placement,
-    semantics,
-)
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.kinematics import Tree, contact_pairs, trees
-from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
+from simfoundry.scene.model import Camera, Joint, JointType, Light, LightType, Scene, SceneObject
 
 TIMESTEP = 1 / 500
 """Time step [s]: half of Bullet's default and equal to the other targets, so that behaviors are comparable."""
@@ -38,13 +36,32 @@ TIMESTEP = 1 / 500
 BACKGROUND = "_background.urdf"
 """The file of the background; no object can have this name."""
 
+GRASP_ITERATIONS = 200
+"""Solver iterations per step for scenes with robots. With Bullet's default of 50, a marker between the pads of a 2F-85
+creeps by up to 2 cm and rotates during a motion; with 200 it creeps by 5 mm, with 500 by 2 mm in three times the
+time."""
+
+_GRIPS = {
+    False: "It has the friction of its file, which Bullet multiplies with the square roots of the scene's.",
+    True: "It grips as in MuJoCo, which uses the larger friction; if the scene's differ, with a value between them.",
+}
+_MOTORS = {
+    False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
+    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
+}
+"""The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
+
+NEAR, FAR = 0.01, 100.0
+"""Near and far clipping distances of the cameras [m]: a wrist camera sees its own fingers at 2 cm; no room is
+larger."""
+
 _LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     """Compile a scene for PyBullet with time step ``timestep`` [s]; raise InvalidSceneError for invalid names."""
     check_names(scene)
-    dialect = Dialect(visual=whole, collision=split_under_skin(), ball="spherical")
+    dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
 
     def write(item: SceneObject) -> Mapping[str, bytes]:
@@ -53,7 +70,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     robots, robot_losses = bullet_robots(scene, write)
     for robot in robots.values():
         files.update(robot.files)
-    resistances = scene_resistances(scene)
+    resistances = surfaces.scene_resistances(scene)
     parts = [tree for item in scene.objects for tree in trees(item)]
     world: dict[str, object] = {
         "gravity": rounded_list(scene.gravity),
@@ -69,25 +86,25 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)
         world["background"] = BACKGROUND
-    if between := excluded_between(scene):
+    if between := manifests.excluded_between(scene):
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
     return Artifact("pybullet", "load.py", files, (*bullet_losses(scene, timestep, resistances), *robot_losses))
 
 
-def _body(tree: Tree, resistances: Resistances, timestep: float) -> dict[str, object]:
+def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:
     """Return the entry of one Bullet body, an object or a freely moving part of one; empty keys are omitted."""
     item = tree.owner
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     body: dict[str, object] = {
-        "links": {link.name: surface_data(item, link, resistances) for link in tree.links},
+        "links": {link.name: surfaces.surface_data(item, link, resistances) for link in tree.links},
         "joint_friction": {joint.name: rounded(joint.friction) for joint in moving},
         "joint_damping": {joint.name: rounded(joint.damping) for joint in moving},
     }
     if len(item.links) > 1:
         body |= {key: value for key, value in _articulation(tree, moving, timestep).items() if value}
-    return {"urdf": f"{tree.name}.urdf"} | semantics(item) | placement(tree) | body
+    return {"urdf": f"{tree.name}.urdf"} | manifests.semantics(item) | manifests.placement(tree) | body
 
 
 def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[str, object]:
@@ -98,11 +115,127 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
     drives = stable_drives(item, timestep, False)
     return {
         "balls": {j.name: rounded_list(j.motion.q) for j in moving if j.type is JointType.BALL},
-        "mimics": {j.name: mimic_data(j.mimic) for j in moving if j.mimic is not None},
-        "drives": {name: drive_data(drive) for name, drive in drives.items() if name in joints},
+        "mimics": {j.name: manifests.mimic_data(j.mimic) for j in moving if j.mimic is not None},
+        "drives": {name: manifests.drive_data(drive) for name, drive in drives.items() if name in joints},
         "self_collision": touching,
-        "no_contact": excluded_within(tree) if touching else [],
+        "no_contact": manifests.excluded_within(tree) if touching else [],
     }
+
+
+def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
+    """Return the robots of a scene as URDFs by name, and the losses of robots and mounted cameras."""
+    robots, losses = {}, []
+    for robot in scene.robots:
+        found = robot_urdf(robot, write)
+        if found is None:
+            losses.append(without_model(robot.name))
+            continue
+        robots[robot.name] = found
+        converted = found.item is not None
+        losses += [*found.losses, approximate("robot_contacts", robot.name, _GRIPS[converted])]
+        losses.append(approximate("robot_motors", robot.name, _MOTORS[converted]))
+    for mounted in scene.mounted:
+        reason = f"It is mounted on `{mounted.carrier}`, and cameras in PyBullet's files are static."
+        losses.append(drop("mounted_cameras", mounted.camera.name, reason))
+    return robots, losses
+
+
+def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, object]:
+    """Return the entry of a robot in ``world.json``: its pose, motors and mimic joints."""
+    motors = {
+        name: {"target": rounded(position), "force": rounded(robot.efforts[name])} | _servo(robot, name, timestep)
+        for name, position in robot.positions.items()
+        if name in robot.efforts and name not in robot.follow
+    }
+    links = robot.item.links if robot.item is not None else ()
+    frictions = {link.name: surfaces.robot_friction(link, scene) for link in links}
+    return {
+        "urdf": robot.path,
+        **manifests.pose_data(robot.X_WB),
+        "joints": {name: rounded(position) for name, position in robot.positions.items()},
+        "motors": motors,
+        "follow": {name: manifests.mimic_data(leader) for name, leader in robot.follow.items()},
+        "links": {k: {"lateral_friction": rounded(mu), "restitution": 0.0} for k, mu in frictions.items()},
+        "arm": dict(robot.joints),
+        "gripper": {name: [rounded(v) for v in pair] for name, pair in robot.gripper.items()},
+        "frames": {name: {"link": f.link, **manifests.pose_data(f.X_LF)} for name, f in robot.frames.items()},
+    }
+
+
+def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
+    """Return the gains of a servo for Bullet, whose motors are velocity constraints; empty if they are unknown.
+
+    A spring and damper move a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
+    error`` in a step of ``timestep`` [s], with any force that this requires. Gripper joints keep their stiffness,
+    because the loader's ``press`` bounds their force with it. Arm joints do not sag, so this bound would only make them
+    oscillate.
+    """
+    if joint not in robot.servos:
+        return {}
+    stiffness, damping = robot.servos[joint]
+    lag = {"gain": rounded(min(stiffness * timestep / damping, 1.0))} if damping > 0 else {}
+    firm = {"stiffness": rounded(stiffness)} if joint in robot.gripper else {}
+    return lag | firm
+
+
+def with_rotors(item: SceneObject) -> SceneObject:
+    """Return the object with the armature of each rotating joint added to the inertia of the link below it.
+
+    Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
+    contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
+    would press with a hundredth of their motor's force. A rotor is added as a thin disk, with half its inertia about
+    the transverse axes, because Bullet treats a physically impossible inertia as zero.
+    """
+    rotors = {
+        joint.child: joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))
+        for joint in item.joints
+        if joint.armature > 0 and joint.type in (JointType.REVOLUTE, JointType.CONTINUOUS)
+    }
+    links = (
+        replace(link, inertia=frozen_array(link.inertia + rotors[link.name])) if link.name in rotors else link
+        for link in item.links
+    )
+    return replace(item, links=tuple(links))
+
+
+def camera_arguments(camera: Camera) -> dict[str, object]:
+    """Return the image size, view matrix and projection matrix; both matrices are column-major, as in OpenGL."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    view = flip @ camera.X_WC.inverse().matrix
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "view": rounded_list(view.T),
+        "projection": rounded_list(projection_matrix(camera).T),
+    }
+
+
+def projection_matrix(camera: Camera) -> Array:
+    """Return OpenGL's projection matrix of a pinhole camera, shape (4, 4); the center of the first pixel is (0, 0)."""
+    left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
+    top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
+    return np.array(
+        [
+            [2 / (right - left), 0.0, (right + left) / (right - left), 0.0],
+            [0.0, 2 / (top - bottom), (top + bottom) / (top - bottom), 0.0],
+            [0.0, 0.0, -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
+
+
+def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
+    """Return the light of an image and the sum of the dome lights; empty for a scene without lights."""
+    if not lights:
+        return {}
+    dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
+    lighting: dict[str, object] = {"lightAmbientCoeff": rounded(dome), "lightSpecularCoeff": 0.0}
+    main = main_light(lights)
+    if main is None:
+        return lighting | {"lightDiffuseCoeff": 0.0}
+    toward = main.X_WL.rotation[:, 2] if main.type is LightType.DISTANT else main.X_WL.p
+    color = {"lightDirection": rounded_list(toward), "lightColor": rounded_list(main.rgb)}
+    return lighting | color | {"lightDiffuseCoeff": rounded(main.intensity)}
 
 
 BACKEND = Backend(compile_pybullet, FEATURES)

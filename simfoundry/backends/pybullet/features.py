@@ -1,56 +1,25 @@
-"""The features that PyBullet keeps, and the losses of a scene in it."""
+"""The losses of a scene in PyBullet; ``features.yaml`` has the fidelity of each feature."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import SupportCell, approximated, dropped, exact
-from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
-from simfoundry.backends.pybullet.inset import SKIN
-from simfoundry.backends.pybullet.pictures import main_light
-from simfoundry.backends.pybullet.surfaces import Resistances, link_friction, link_restitution
-from simfoundry.backends.robot_models.robot_urdf import CONVERTED
+from simfoundry.backends.features import Loss, approximate, drop, read_cells, splat_losses, variant_losses
+from simfoundry.backends.pybullet.surfaces import SKIN, Resistances, link_friction, link_restitution
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.urdf.features import joint_losses
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.model import LightType, Link, Scene, SceneObject
+from simfoundry.scene.model import Light, LightType, Link, Scene, SceneObject
+
+FEATURES = read_cells(Path(__file__).parent)
 
 _LIGHTS = {
     LightType.DISTANT: "PyBullet shades surfaces with its own model: brightness differs, and shadows are soft.",
     LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
     LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
 }
-_MIXED = "It is combined with the sliding friction, with one value per link."
-
-FEATURES: dict[str, SupportCell] = {
-    "robots": approximated(CONVERTED),
-    "robot_motors": approximated(
-        "Converted motors lag as in MuJoCo but do not sag; those of a URDF hold with full force."
-    ),
-    "robot_contacts": approximated("A converted robot grips as in MuJoCo if all frictions in the scene are equal."),
-    "mounted_cameras": dropped("Cameras in PyBullet's files are static."),
-    **exact("gravity", "relations", "cameras", "background_mesh"),
-    "distant_lights": approximated("Images have one light, the first; its brightness differs."),
-    "point_lights": approximated("Images have one light, the first, with parallel rays."),
-    "dome_lights": approximated("Their mean, without color, lights all surfaces equally."),
-    "background_splat": dropped("PyBullet renders surfaces only."),
-    **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
-    "variants": dropped("A world holds one variant."),
-    **exact("box", "sphere", "cylinder", "capsule"),
-    "convex_mesh": approximated("Bullet's skin rounds edges by 1 mm."),
-    "friction": approximated("It is up to 9 % lower between the two friction axes."),
-    "restitution": approximated("A rebound differs by up to 0.15."),
-    "torsional_friction": approximated(_MIXED),
-    "rolling_friction": approximated(_MIXED),
-    **exact("no_contact"),
-    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
-    **exact("joint_damping", "joint_friction"),
-    "armature": dropped("URDF has no rotor inertia."),
-    **exact("ball", "free", "mimic"),
-    "drive": SupportCell(reason="Exact up to the stiffness that is stable at the timestep."),
-}
-"""The fidelity of each feature in PyBullet."""
 
 
 def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> Iterator[Loss]:
@@ -66,7 +35,7 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
         yield approximate("restitution", "", reason, 0.15)
     for field, found in resistances.items():
         if found.error > 1e-9:  # the rounding of a product
-            reason = f"{_MIXED} The worst pair is {found.error:.0%} off."
+            reason = f"{FEATURES[field].reason} The worst pair is {found.error:.0%} off."
             yield approximate(field, "", reason, 100 * found.error, "%")
     for item in scene.objects:
         for link in item.links:
@@ -97,3 +66,8 @@ def _surface_losses(item: SceneObject, link: Link) -> Iterator[Loss]:
             span = ", ".join(number(v) for v in values)
             reason = f"Bullet has one {field} per link: {number(round(value, 4))} replaces {span}."
             yield approximate(field, item.qualified(link.name), reason, max(abs(v - value) for v in values))
+
+
+def main_light(lights: tuple[Light, ...]) -> Light | None:
+    """Return the only light that PyBullet can render: the first one that is not a dome."""
+    return next((light for light in lights if light.type is not LightType.DOME), None)

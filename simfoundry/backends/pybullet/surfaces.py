@@ -1,26 +1,33 @@
-"""Surfaces in Bullet: one friction, one restitution and one resistance per link, for all of its colliders.
+"""Collision shapes and surfaces in Bullet.
 
-Bullet multiplies the friction and restitution of two bodies; each link therefore has the square root of its own value,
-which gives a pair the geometric mean.
+A link has one friction, one restitution and one resistance for all of its colliders. Bullet multiplies the friction and
+restitution of two bodies; each link therefore has the square root of its own value, which gives a pair the geometric
+mean.
 
 For spinning and rolling, Bullet's resistance of a pair is the sum of each link's coefficient times the sliding friction
 of the other link; the scene uses the larger of the two. If a resisting link only meets links with one friction, a
 single number is exact. If it meets several, a middle value is used, and :class:`Resistance` states the error.
+
+Convex meshes are shrunk by the collision margin that Bullet adds around them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from itertools import product
+from typing import NamedTuple
+
+import numpy as np
 
 from simfoundry.backends.artifact import rounded
+from simfoundry.backends.urdf.elements import Split
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 
-@dataclass(frozen=True)
-class Resistance:
+class Resistance(NamedTuple):
     """The value written for each link by qualified name, and the largest relative error of any pair."""
 
     written: dict[str, float]
@@ -31,8 +38,7 @@ Resistances = dict[str, Resistance]
 """The resistance to spinning and rolling, by the field of a collider."""
 
 
-@dataclass(frozen=True)
-class _BulletSurface:
+class _BulletSurface(NamedTuple):
     """The sliding friction of a link as Bullet stores it, and the scene's resistance [m]."""
 
     friction: float
@@ -81,24 +87,20 @@ def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dic
 
 def scene_resistances(scene: Scene) -> Resistances:
     """Return the resistance to spinning and rolling of all links of a scene."""
-
-    def of(field: str) -> Resistance:
-        return _resistance(scene, lambda link: max(getattr(c, field) for c in link.colliders))
-
-    return {field: of(field) for field in ("torsional_friction", "rolling_friction")}
+    return {field: _resistance(scene, field) for field in ("torsional_friction", "rolling_friction")}
 
 
-def _resistance(scene: Scene, value: Callable[[Link], float]) -> Resistance:
-    """Return the values to write for the resistance ``value`` of each link [m]."""
-    links = [(item, link) for item in scene.objects for link in item.links if link.colliders]
-    if not any(value(link) for _, link in links):
-        return Resistance({}, 0.0)
+def _resistance(scene: Scene, field: str) -> Resistance:
+    """Return the values to write for the largest resistance ``field`` of each link [m]."""
     owners: dict[_BulletSurface, set[str]] = {}
     surfaces: dict[str, _BulletSurface] = {}
-    for item, link in links:
-        surface = _BulletSurface(math.sqrt(link_friction(link)), value(link))
+    for item, link in [(o, k) for o in scene.objects for k in o.links if k.colliders]:
+        resistance = max(getattr(collider, field) for collider in link.colliders)
+        surface = _BulletSurface(math.sqrt(link_friction(link)), resistance)
         surfaces[item.qualified(link.name)] = surface
         owners.setdefault(surface, set()).add(item.name)
+    if not any(surface.resistance for surface in owners):
+        return Resistance({}, 0.0)
     meetings = [(a, b) for a, b in product(owners, owners) if a != b or len(owners[a]) > 1]
     written = {a: _middle(_exact_values(a, (b for one, b in meetings if one == a))) for a in owners}
     error = max((_error(a, b, written) for a, b in meetings if a.resistance or b.resistance), default=0.0)
@@ -125,3 +127,65 @@ def _error(a: _BulletSurface, b: _BulletSurface, written: dict[_BulletSurface, f
     """Return the relative error of Bullet's resistance for a pair."""
     found = written[a] * b.friction + written[b] * a.friction
     return abs(found / pair_resistance(a.resistance, b.resistance) - 1)
+
+
+SKIN = 1e-3
+"""Collision margin that Bullet adds around a convex mesh from a URDF [m]; it cannot be disabled."""
+
+
+def split_under_skin() -> Split:
+    """Return a split that shrinks each mesh by Bullet's margin; a mesh too thin to shrink is unchanged."""
+    done: dict[str, Mesh] = {}
+
+    def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+        if isinstance(geometry, Mesh):
+            digest = geometry.digest
+            if digest not in done:
+                done[digest] = inset_hull(geometry, SKIN) or geometry
+            geometry = done[digest]
+        yield "", geometry, IDENTITY
+
+    return parts
+
+
+def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
+    """Return the convex hull of a mesh with every face moved inward by ``distance`` [m]; None if it is too thin.
+
+    With a margin of the same size, the faces are in their original places and the edges are rounded.
+    """
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+    try:
+        planes = ConvexHull(np.asarray(mesh.vertices)).equations  # normal, offset: normal @ x + offset <= 0 inside
+        inside = _inner_point(planes, mesh.vertices.mean(axis=0), 1.1 * distance)
+        if inside is None:
+            return None
+        planes = planes + np.array([0.0, 0.0, 0.0, distance])
+        corners = HalfspaceIntersection(planes, inside).intersections
+        corners = np.unique(np.round(corners, 10), axis=0)  # a triangulated face gives each corner many times
+        hull = ConvexHull(corners)
+    except QhullError:  # flat, or too small for floating point
+        return None
+    return Mesh(frozen_array(corners), _outward(hull.simplices, hull.equations, corners))
+
+
+def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
+    """Return a point at least ``depth`` [m] below every plane: the guess if it qualifies, else the deepest point."""
+    from scipy.optimize import linprog
+
+    if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
+        return guess
+    rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
+    found = linprog([0.0, 0.0, 0.0, -1.0], A_ub=rows, b_ub=-planes[:, 3], bounds=[(None, None)] * 3 + [(0.0, None)])
+    if not found.success or found.x[3] < depth:
+        return None
+    return np.asarray(found.x[:3], dtype=np.float64)
+
+
+def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
+    """Return the triangles in counter-clockwise order as seen from outside, int32, shape (m, 3)."""
+    a, b, c = (points[simplices[:, k]] for k in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
+    faces = simplices.astype(np.int32)
+    faces[inward] = faces[inward][:, [0, 2, 1]]
+    return faces

@@ -1,4 +1,4 @@
-"""A robot as an object of links and joints, for targets without a model in their own format.
+"""A robot as an object of links and joints, or as a URDF, for targets without a model in their own format.
 
 The model that MuJoCo has read is expressed in the terms of a scene: a tree of links with masses, shapes and joints.
 Closed loops are cut; the robot's ``follow`` describes their effect on the joints.
@@ -6,25 +6,30 @@ Closed loops are cut; the robot's ``follow`` describes their effect on the joint
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError
+from simfoundry.backends.features import Loss, approximate, drop
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, read_robot
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import hull_mesh
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, hull_mesh
 from simfoundry.scene.kinematics import joint_transform
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, SceneObject, Visual
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 
 if TYPE_CHECKING:
     import mujoco
+
 
 _LIGHTEST, _LEAST = 1e-6, 1e-9
 """Mass [kg] and moments of inertia [kg m^2] of a massless link; most engines reject zero."""
@@ -60,17 +65,16 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
     rows = []
     for b in bodies[1:]:
         parent = int(model.body_parentid[b])
-        X_PC = Pose.of(-shift[parent]) @ _pose(model.body_pos[b], model.body_quat[b]) @ Pose.of(shift[b])
+        X_PC = Pose.of(-shift[parent]) @ Pose.of(model.body_pos[b], model.body_quat[b]) @ Pose.of(shift[b])
         joint = moving.get(b)
         name = joints_of[joint] if joint is not None else f"{link_of[b]}_mount"
         one = _joint(model, read.qpos, joint, name, (link_of[parent], link_of[b]), X_PC)
         mimic = mimics.get(name)
         rows.append(replace(one, mimic=mimic, drive=drives.get(name) if mimic is None else None))
     root = bodies[0]
-    X_WO = robot.X_WB @ _pose(model.body_pos[root], model.body_quat[root]) if root else robot.X_WB
-    apart = tuple(
-        combinations([link.name for link in links], 2)
-    )  # the convex hulls may overlap even if the meshes do not
+    X_WO = robot.X_WB @ Pose.of(model.body_pos[root], model.body_quat[root]) if root else robot.X_WB
+    # The convex hulls may overlap even if the meshes do not.
+    apart = tuple(combinations([link.name for link in links], 2))
     item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(rows), apart)
     return RobotObject(item, names, joints, loops)
 
@@ -105,10 +109,6 @@ def _names(given: list[str]) -> dict[str, str]:
     return names
 
 
-def _pose(p: Array, q: Array) -> Pose:
-    return Pose.of(p, q)
-
-
 def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
     """Return a body as a link whose frame is moved by ``shift`` [m] to its joint."""
     mass = max(float(model.body_mass[b]), _LIGHTEST)
@@ -116,7 +116,7 @@ def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
     axes = Pose.of(q=model.body_iquat[b]).rotation
     visuals, colliders = [], []
     for g in range(model.body_geomadr[b], model.body_geomadr[b] + model.body_geomnum[b]):
-        X_LG = Pose.of(-shift) @ _pose(model.geom_pos[g], model.geom_quat[g])
+        X_LG = Pose.of(-shift) @ Pose.of(model.geom_pos[g], model.geom_quat[g])
         geometry = _geometry(model, g)
         if geometry is None:
             continue
@@ -226,3 +226,151 @@ def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic],
             mimics[one] = Mimic(other, multiplier, offset)
     loops = sum(kind in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)) for kind in kinds)
     return mimics, loops
+
+
+Write = Callable[[SceneObject], Mapping[str, bytes]]
+"""Function that writes an object as ``<name>.urdf`` and returns it with its assets."""
+
+_MOVING = ("revolute", "continuous", "prismatic")
+_STRONG = 100.0
+"""Maximum force [N m or N] of a joint whose URDF does not state one."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotUrdf:
+    """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
+
+    ``positions`` [rad or m], ``efforts`` [N m or N] and ``follow`` are keyed by the URDF's joints. So are the
+    ``servos`` whose gains are known: stiffness [N m/rad or N/m], and damping including that of the joint itself.
+    ``joints`` maps the scene's joint names to the URDF's, ``frames`` maps the scene's frames to its links. ``item`` is
+    the object from which the URDF was converted, if any.
+    """
+
+    path: str
+    files: Mapping[str, bytes]
+    X_WB: Pose
+    positions: Mapping[str, float]
+    efforts: Mapping[str, float]
+    joints: Mapping[str, str]
+    gripper: Mapping[str, tuple[float, float]]
+    follow: Mapping[str, Follow]
+    servos: Mapping[str, tuple[float, float]]
+    frames: Mapping[str, LinkFrame]
+    item: SceneObject | None
+    losses: tuple[Loss, ...]
+
+
+def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
+    """Return the robot as URDF; None if it has neither URDF nor MJCF. Raises :class:`RobotModelError`."""
+    native = robot.best(ModelFormat.URDF)
+    if native is not None:
+        return _native(robot, native)
+    native = robot.best(ModelFormat.MJCF)
+    return _converted(robot, native, write) if native is not None else None
+
+
+def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
+    files, path = copied(native)
+    try:
+        root = ET.fromstring(files[path])
+    except ET.ParseError as error:
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} is not a URDF: {error}") from None
+    moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]
+    names = [str(joint.get("name")) for joint in moving]
+    start = robot.start(native)
+    for name in start:
+        if name not in names:
+            there = ", ".join(names)
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
+    follow = dict(_stated_mimics(moving)) | (dict(native.gripper.follow) if native.gripper is not None else {})
+    efforts = {name: native.effort.get(name, _effort(joint)) for name, joint in zip(names, moving, strict=True)}
+    return RobotUrdf(
+        path=path,
+        files=files,
+        X_WB=robot.X_WB,
+        positions={name: start.get(name, 0.0) for name in names},
+        efforts=efforts,
+        joints=native.joints or {name: name for name in names},
+        gripper=native.gripper.joints if native.gripper is not None else {},
+        follow=follow,
+        servos={},
+        frames=native.links,
+        item=None,
+        losses=(),
+    )
+
+
+def _stated_mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Follow]]:
+    for joint in joints:
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            numbers = (float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0")))
+            yield str(joint.get("name")), Follow(str(mimic.get("joint")), *numbers)
+
+
+def _effort(joint: ET.Element) -> float:
+    limit = joint.find("limit")
+    effort = float(limit.get("effort", "0")) if limit is not None else 0.0
+    return effort if effort > 0 else _STRONG
+
+
+def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
+    """Copy a URDF and its meshes below ``robots/``, preserving their relative layout; also return the URDF's path.
+
+    Mesh paths in the URDF become relative to it; the rest of the text is unchanged.
+    """
+    needed = model_files(native.file)
+    top = Path(os.path.commonpath([file.parent for file in needed]))
+    folder = f"robots/{native.file.stem}_{native.digest[:8]}"
+    text = native.file.read_text(encoding="utf-8")
+    for name in urdf_meshes(text):
+        near = os.path.relpath(urdf_mesh(native.file, name), native.file.parent).replace(os.sep, "/")
+        text = re.sub(rf"""(\bfilename\s*=\s*)["']{re.escape(name)}["']""", lambda m, n=near: f'{m[1]}"{n}"', text)  # type: ignore[misc]
+    files = {f"{folder}/{file.relative_to(top).as_posix()}": file.read_bytes() for file in needed}
+    path = f"{folder}/{native.file.relative_to(top).as_posix()}"
+    files[path] = text.encode()
+    return files, path
+
+
+def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
+    read = read_robot(robot, native, f"{robot.name}.")
+    made = as_object(robot, read)
+    gripper = native.gripper.joints if native.gripper is not None else {}
+    frames = {n: LinkFrame(made.links[f.link], f.X_LF) for n, f in native.links.items() if f.link in made.links}
+    joints = {joint.name: joint for joint in made.item.joints}
+    drives = {name: joint.drive for name, joint in joints.items() if joint.drive is not None}
+    arm = native.joints or {name: name for name in made.joints}
+    return RobotUrdf(
+        path=f"{robot.name}.urdf",
+        files=write(made.item),
+        X_WB=made.item.X_WO,
+        positions={name: joint.position for name, joint in joints.items() if name in made.joints.values()},
+        efforts={name: drive.force_limit or _STRONG for name, drive in drives.items()},
+        joints={name: made.joints[joint] for name, joint in arm.items()},
+        gripper={made.joints[name]: pair for name, pair in gripper.items()},
+        follow={
+            n: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
+            for n, j in joints.items()
+            if j.mimic is not None
+        },
+        servos={n: (d.stiffness, d.damping + joints[n].damping) for n, d in drives.items() if d.stiffness > 0},
+        frames=frames,
+        item=made.item,
+        losses=tuple(conversion_losses(robot, native, made.loops)),
+    )
+
+
+def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
+    """Yield the losses of a robot that is converted from its MJCF or URDF."""
+    kind = source.format.value.upper()
+    reason = f"It has no model in this format; it is converted from its {kind}, with convex hulls as colliders."
+    yield approximate("robots", robot.name, reason)
+    if loops:
+        words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
+        reason = f"{words} cut; mimic joints with fixed ratios replace them."
+        yield approximate("robots", robot.name, reason, loops, "loops")
+
+
+def without_model(name: str) -> Loss:
+    """Return the loss of a robot that has neither an MJCF nor a URDF."""
+    return drop("robots", name, "It has no model in MJCF or URDF, and its USD cannot be converted.")

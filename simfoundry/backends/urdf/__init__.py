@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from simfoundry.backends.artifact import Artifact, json_text
-from simfoundry.backends.backend import Backend
-from simfoundry.backends.losses import Loss
+from simfoundry.backends.artifact import Artifact, Backend, json_text
+from simfoundry.backends.features import Loss
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_models.mujoco_robot import document_fields
-from simfoundry.backends.robot_models.robot_urdf import RobotUrdf, robot_urdf, without_model
+from simfoundry.backends.robot_models.robot_object import RobotUrdf, robot_urdf, without_model
 from simfoundry.backends.urdf.elements import Dialect, capsule_parts, urdf_files
 from simfoundry.backends.urdf.features import FEATURES, robot_losses, urdf_losses
 from simfoundry.backends.urdf.manifests import physics_manifest, poses_entry, robot_placement

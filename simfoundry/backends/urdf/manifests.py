@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from simfoundry.backends.artifact import json_text, rounded, rounded_list
-from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
+from simfoundry.backends.robot_models.robot_object import RobotUrdf
 from simfoundry.backends.urdf.elements import Split
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import Tree, excluded_link_pairs, trees

@@ -1,9 +1,92 @@
-"""USD backend: UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics, with one file per kind of element."""
+"""USD backend: UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics; here, the layout of the stage and its files."""
 
-from simfoundry.backends.backend import Backend
-from simfoundry.backends.usd.features import FEATURES
-from simfoundry.backends.usd.stage import compile_usd
+from __future__ import annotations
 
-__all__ = ["BACKEND", "compile_usd"]
+from collections.abc import Iterable
+
+import numpy as np
+
+from simfoundry.backends.artifact import Artifact, Backend, rounded
+from simfoundry.backends.names import check_names
+from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
+from simfoundry.backends.usd.features import FEATURES, usd_losses
+from simfoundry.backends.usd.prims import Prim, usda, vec3
+from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
+from simfoundry.backends.usd.shapes import MESHES, mesh_layer, texture_of, texture_path
+from simfoundry.backends.usd.source import KEY, write_source
+from simfoundry.backends.usd.surroundings import SPLAT, define_background, define_camera, define_light, splat_layer
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.runtime.files import shipped
+from simfoundry.scene.model import Background, Scene, SceneObject
+
+_LOADER = shipped("targets/usd") / "load.py"
+
+
+def compile_usd(scene: Scene) -> Artifact:
+    """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
+
+    The default prim ``/World`` contains ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
+    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
+    ``Contacts``. The stage's own prims start with a capital letter and the names of a scene do not, so they never
+    collide. The source document is stored in metadata, see :mod:`~simfoundry.backends.usd.source`. Raises
+    :class:`~simfoundry.backends.names.InvalidSceneError` for names that are invalid or not unique.
+    """
+    check_names(scene)
+    world = Prim("World", "Xform", "/World", kind="assembly")
+    robots = _define_world(world, scene)
+    about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
+    contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
+    contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
+    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *robots.losses))
+
+
+def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
+    relations = [str(relation) for relation in scene.relations]
+    world.custom_data[KEY] = {"name": scene.name, "relations": relations}
+    _define_physics(world, scene)
+    objects = world.define("Objects", "Xform")
+    objects.kind = "group"
+    scopes = Scopes(objects, world.define("Looks", "Scope"), world.define("Contacts", "Scope"))
+    for item in scene.objects:
+        define_object(scopes, item)
+    filter_pairs(scopes, scene)
+    robots = define_robots(world, scopes, scene)
+    robots.losses.extend(define_mounted(scopes, scene, robots))
+    if scene.background is not None:
+        define_background(world, scopes.looks, scene.background)
+    cameras = world.define("Cameras", "Xform")
+    for camera in scene.cameras:
+        define_camera(cameras, camera)
+    lights = world.define("Lights", "Xform")
+    for light in scene.lights:
+        define_light(lights, light)
+    return robots
+
+
+def _define_physics(world: Prim, scene: Scene) -> None:
+    """Define the physics scene; without gravity, its direction must still be a valid direction."""
+    prim = world.define("Physics", "PhysicsScene")
+    magnitude = float(np.linalg.norm(scene.gravity))
+    direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
+    prim.attribute("physics:gravityDirection", "vector3f", vec3(direction))
+    prim.attribute("physics:gravityMagnitude", "float", rounded(magnitude))
+
+
+def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
+    """Return the mesh layer, the splat layer and the textures of the visuals by path, sorted."""
+    contents: dict[str, bytes] = {}
+    links = [link for each in objects for item in (each, *each.variants) for link in item.links]
+    visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())
+    shapes = [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]
+    meshes = [shape for shape in shapes if isinstance(shape, Mesh)]
+    if meshes:
+        contents[MESHES] = mesh_layer(meshes)
+    for texture in map(texture_of, visuals):
+        if texture is not None:
+            contents[texture_path(texture)] = texture
+    if around is not None and around.splat is not None:
+        contents[SPLAT] = splat_layer(around.splat)
+    return dict(sorted(contents.items()))
+
 
 BACKEND = Backend(compile_usd, FEATURES)

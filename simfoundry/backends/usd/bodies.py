@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from simfoundry.backends.artifact import rounded
-from simfoundry.backends.usd.geometry import define_geometry
-from simfoundry.backends.usd.joints import define_anchor, define_joint
-from simfoundry.backends.usd.materials import contact_material, visual_material
-from simfoundry.backends.usd.prims import (
-    Prim,
-    apply_schemas,
-    attribute,
-    define,
-    place,
-    quat,
-    relate,
-    settled,
-    vec3,
-)
+from simfoundry.backends.usd.prims import Prim, quat, settled, vec3
+from simfoundry.backends.usd.shapes import contact_material, define_geometry, define_visual
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import Tree, contact_pairs, excluded_link_pairs, link_poses, trees
-from simfoundry.scene.model import Joint, JointType, Link, Scene, SceneObject
+from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 
 DEFAULT = "default"
 """The name of the variant that represents the object as written in its document."""
@@ -50,7 +42,7 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     variants, each variant in the variant set ``variant`` contains the complete object. Labels use the taxonomy
     ``class``, which Isaac Sim reads.
     """
-    prim = define(scopes.objects, item.name, "Xform")
+    prim = scopes.objects.define(item.name, "Xform")
     prim.kind = "component"
     if not item.variants:
         _fill_object(scopes, prim, item)
@@ -62,25 +54,25 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
 
 def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
     """Define the links and joints of an object or of one of its variants."""
-    apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
-    attribute(prim, "semantics:labels:category", "token[]", [item.category])
-    attribute(prim, "semantics:labels:class", "token[]", list(item.semantics))
-    place(prim, item.X_WO)
+    prim.schemas += ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"]
+    prim.attribute("semantics:labels:category", "token[]", [item.category])
+    prim.attribute("semantics:labels:class", "token[]", list(item.semantics))
+    prim.place(item.X_WO)
     X_OL = link_poses(item)
     links = {}
     for link in item.links:
-        links[link.name] = body = define(prim, link.name, "Xform")
-        place(body, X_OL[link.name])
+        links[link.name] = body = prim.define(link.name, "Xform")
+        body.place(X_OL[link.name])
         _define_link(scopes, body, link)
     moving = [tree for tree in trees(item) if not is_static(tree)]
     for tree in moving:
         for link in tree.links:
-            apply_schemas(links[link.name], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+            links[link.name].schemas += ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
         if tree.free_joint is not None:
             _set_free(links[tree.root.name], tree.free_joint, links[tree.free_joint.parent])
     joined = [tree for tree in moving if tree.joints]
     if joined:
-        scope = define(prim, "Joints", "Scope")
+        scope = prim.define("Joints", "Scope")
         for tree in joined:
             _articulate(prim, scope, tree, links, alone=len(joined) == 1)
 
@@ -91,9 +83,9 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
     ``simfoundry:freePose`` is the pose at zero in the parent, as a USD matrix, which multiplies row vectors.
     """
     matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
-    attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
-    attribute(body, "simfoundry:freePose", "matrix4d", matrix, uniform=True)
-    relate(body, "simfoundry:freeParent", [parent])
+    body.attribute("simfoundry:freeJoint", "token", joint.name, uniform=True)
+    body.attribute("simfoundry:freePose", "matrix4d", matrix, uniform=True)
+    body.relate("simfoundry:freeParent", [parent])
 
 
 def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
@@ -107,9 +99,9 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
         root = prim if alone else anchor
     names = {link.name for link in tree.links}
     touching = any(names.issuperset(pair) for pair in contact_pairs(tree.owner))
-    apply_schemas(root, ["PhysicsArticulationRootAPI", "PhysxArticulationAPI", "NewtonArticulationRootAPI"])
-    attribute(root, "newton:selfCollisionEnabled", "bool", touching)
-    attribute(root, "physxArticulation:enabledSelfCollisions", "bool", touching)
+    root.schemas += ["PhysicsArticulationRootAPI", "PhysxArticulationAPI", "NewtonArticulationRootAPI"]
+    root.attribute("newton:selfCollisionEnabled", "bool", touching)
+    root.attribute("physxArticulation:enabledSelfCollisions", "bool", touching)
     by_name = {joint.name: joint for joint in tree.joints}
     for joint in tree.joints:
         leader = by_name.get(joint.mimic.joint) if joint.mimic is not None else None
@@ -143,8 +135,8 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     for a, b in scene.no_contact:
         exclude(bodies, touched_by_link, a, b)
     for body, prims in found.items():
-        apply_schemas(body, ["PhysicsFilteredPairsAPI"])
-        relate(body, "physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
+        body.schemas += ["PhysicsFilteredPairsAPI"]
+        body.relate("physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
@@ -171,20 +163,16 @@ def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = link.principal
     # Static links also get these attributes, without the schema, which requires a body; readers may ignore them, but no
     # data is lost.
-    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com.tolist()))
-    attribute(body, "physics:diagonalInertia", "float3", vec3(moments.tolist()))
-    attribute(body, "physics:mass", "float", rounded(link.mass))
-    attribute(body, "physics:principalAxes", "quatf", quat(axes.tolist()))
+    body.attribute("physics:centerOfMass", "point3f", vec3(link.com.tolist()))
+    body.attribute("physics:diagonalInertia", "float3", vec3(moments.tolist()))
+    body.attribute("physics:mass", "float", rounded(link.mass))
+    body.attribute("physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
-        _define_visuals(scopes, define(body, "Visuals", "Scope"), link)
+        parent = body.define("Visuals", "Scope")
+        for visual in link.visuals:
+            define_visual(parent, scopes.looks, visual)
     if link.colliders:
-        _define_colliders(scopes, define(body, "Colliders", "Scope"), link)
-
-
-def _define_visuals(scopes: Scopes, parent: Prim, link: Link) -> None:
-    for visual in link.visuals:
-        prim = define_geometry(parent, visual.name, visual.geometry, visual.X_LG, ["MaterialBindingAPI"])
-        relate(prim, "material:binding", [visual_material(scopes.looks, visual)])
+        _define_colliders(scopes, body.define("Colliders", "Scope"), link)
 
 
 def _define_colliders(scopes: Scopes, parent: Prim, link: Link) -> None:
@@ -193,6 +181,147 @@ def _define_colliders(scopes: Scopes, parent: Prim, link: Link) -> None:
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI", *(["PhysicsMeshCollisionAPI"] if convex else [])]
         prim = define_geometry(parent, collider.name, collider.geometry, collider.X_LG, schemas)
         if convex:
-            attribute(prim, "physics:approximation", "token", "convexHull", uniform=True)
-        attribute(prim, "purpose", "token", "guide", uniform=True)
-        relate(prim, "material:binding:physics", [contact_material(scopes.contacts, collider)])
+            prim.attribute("physics:approximation", "token", "convexHull", uniform=True)
+        prim.attribute("purpose", "token", "guide", uniform=True)
+        prim.relate("material:binding:physics", [contact_material(scopes.contacts, collider)])
+
+
+_TYPE = {
+    JointType.FIXED: "PhysicsFixedJoint",
+    JointType.REVOLUTE: "PhysicsRevoluteJoint",
+    JointType.CONTINUOUS: "PhysicsRevoluteJoint",
+    JointType.PRISMATIC: "PhysicsPrismaticJoint",
+    JointType.BALL: "PhysicsSphericalJoint",
+}
+
+_MIMIC = "rotX"
+"""The instance of PhysX's mimic schema; single-axis joints use this one for any axis."""
+_LIMIT = (0.02, 1.0)
+_FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""Stiffness of MuJoCo's limits and Coulomb friction, as in our MJCF. Without it, Newton's MuJoCo solver lets a load of
+10 N hang 20 mm below its stop, and a joint held by friction creep at 10 mm/s."""
+
+
+def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
+    """Weld a fixed object's root link to the world at the object's prim, so that it moves together with the prim.
+
+    Its name starts with a capital letter, unlike the joints of a scene.
+    """
+    prim = scope.define("Anchor", "PhysicsFixedJoint")
+    _frames(prim, carrier, root, Pose.of(), Pose.of())
+    return prim
+
+
+def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
+    """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader`` if one is given.
+
+    UsdPhysics measures angles in degrees and rotates about a coordinate axis of the joint frames. Both frames are
+    rotated so that the coordinate axis closest to the scene's axis coincides with it.
+    """
+    prim = scope.define(joint.name, _TYPE[joint.type])
+    if not joint.has_axis:
+        _frames(prim, parent, child, joint.X_PC, Pose.of())
+        if joint.type is JointType.BALL and (joint.damping or joint.friction or joint.armature):
+            _ball(prim, joint)
+        return
+    token, X_CJ = joint_frame(joint.axis)
+    _frames(prim, parent, child, joint.X_PC @ X_CJ, X_CJ)
+    prim.attribute("physics:axis", "token", token, uniform=True)
+    prim.attribute("simfoundry:type", "token", joint.type.value, uniform=True)
+    unit = 1.0 if joint.type is JointType.PRISMATIC else math.degrees(1.0)
+    if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
+        lower, upper = joint.limits
+        prim.attribute("physics:lowerLimit", "float", rounded(lower * unit))
+        prim.attribute("physics:upperLimit", "float", rounded(upper * unit))
+        prim.attribute("mjc:solreflimit", "double[]", list(_LIMIT), uniform=True)
+    if joint.closed is not None:
+        prim.attribute("simfoundry:closed", "token", joint.closed, uniform=True)
+    _dynamics(prim, joint, unit)
+    if joint.mimic is not None and leader is not None:
+        _follow(prim, scope, joint.mimic, unit, 1.0 if leader.type is JointType.PRISMATIC else math.degrees(1.0))
+
+
+def _ball(prim: Prim, joint: Joint) -> None:
+    """Add damping, friction and armature of a ball joint about each axis, for Newton; PhysX gets only the armature."""
+    prim.schemas += ["PhysxJointAPI", "NewtonJointAPI"]
+    prim.attribute("newton:armature", "float", rounded(joint.armature))
+    prim.attribute("newton:damping", "float", rounded(joint.damping / math.degrees(1.0)))
+    prim.attribute("newton:friction", "float", rounded(joint.friction))
+    prim.attribute("physxJoint:armature", "float", rounded(joint.armature))
+
+
+def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
+    """Make a joint follow another: Newton's equation as in the scene, PhysX's with all terms on one side.
+
+    PhysX softens the constraint by a natural frequency; zero means a rigid gear.
+    """
+    leader = f"{scope.path}/{mimic.joint}"
+    multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
+    prim.schemas += [f"PhysxMimicJointAPI:{_MIMIC}", "NewtonMimicAPI"]
+    prim.attribute("newton:mimicCoef0", "float", offset)
+    prim.attribute("newton:mimicCoef1", "float", multiplier)
+    prim.relate("newton:mimicJoint", [leader])
+    prim.attribute(f"physxMimicJoint:{_MIMIC}:dampingRatio", "float", 0.0)
+    prim.attribute(f"physxMimicJoint:{_MIMIC}:gearing", "float", rounded(-multiplier))
+    prim.attribute(f"physxMimicJoint:{_MIMIC}:naturalFrequency", "float", 0.0)
+    prim.attribute(f"physxMimicJoint:{_MIMIC}:offset", "float", rounded(-offset))
+    prim.relate(f"physxMimicJoint:{_MIMIC}:referenceJoint", [leader])
+    prim.attribute(f"physxMimicJoint:{_MIMIC}:referenceJointAxis", "token", _MIMIC, uniform=True)
+
+
+def joint_frame(axis: Array) -> tuple[str, Pose]:
+    """Return the coordinate axis (``X``, ``Y``, ``Z``) closest to ``axis``, and the rotation from it to ``axis``."""
+    k = int(np.argmax(np.abs(axis)))
+    unit = np.eye(3)[k]
+    cosine = float(unit @ axis)
+    if cosine < 0:  # rotate half a turn about the next axis first; the rest is then below a quarter turn
+        half = np.concatenate([[0.0], np.eye(3)[(k + 1) % 3]])
+        flipped = Pose.of(q=half)
+        _, rest = joint_frame(flipped.inverse().apply(axis))
+        return "XYZ"[k], flipped @ rest
+    return "XYZ"[k], Pose.of(q=np.concatenate([[1.0 + cosine], np.cross(unit, axis)]))
+
+
+def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> None:
+    prim.relate("physics:body0", [body0])
+    prim.relate("physics:body1", [body1])
+    for k, pose in enumerate([X_0J, X_1J]):
+        prim.attribute(f"physics:localPos{k}", "point3f", vec3(pose.p))
+        prim.attribute(f"physics:localRot{k}", "quatf", quat(pose.q))
+
+
+def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
+    """Add damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
+
+    UsdPhysics supports only the first two, as one drive whose gains are per degree. ``simfoundry:damping`` is the part
+    of that damping which belongs to the joint itself. The other values are attributes of PhysX and Newton, in which
+    torques [N m] and armatures [kg m^2] do not depend on the unit of the angle.
+    """
+    kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
+    drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)
+    if joint.damping or joint.drive is not None:
+        prim.schemas += [f"PhysicsDriveAPI:{kind}"]
+        prim.attribute(f"drive:{kind}:physics:damping", "float", rounded((joint.damping + drive.damping) / unit))
+        prim.attribute(f"drive:{kind}:physics:stiffness", "float", rounded(drive.stiffness / unit))
+        prim.attribute(f"drive:{kind}:physics:type", "token", "force", uniform=True)
+    if joint.drive is not None:
+        prim.attribute(f"drive:{kind}:physics:targetPosition", "float", rounded(drive.target * unit))
+        if drive.force_limit is not None:
+            prim.attribute(f"drive:{kind}:physics:maxForce", "float", rounded(drive.force_limit))
+        prim.attribute("simfoundry:damping", "double", rounded(joint.damping))
+    if joint.friction or joint.armature:
+        prim.schemas += ["PhysxJointAPI", f"PhysxJointAxisAPI:{kind}", "NewtonJointAPI"]
+        friction, armature = rounded(joint.friction), rounded(joint.armature)
+        prim.attribute("newton:armature", "float", armature)
+        prim.attribute("newton:friction", "float", friction)
+        prim.attribute("physxJoint:armature", "float", armature)
+        prim.attribute(f"physxJointAxis:{kind}:armature", "float", armature)
+        prim.attribute(f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
+        prim.attribute(f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
+    if joint.friction:
+        prim.attribute("mjc:solimpfriction", "double[]", list(_FRICTION), uniform=True)
+    position = rounded(joint.position * unit)
+    prim.schemas += [f"PhysicsJointStateAPI:{kind}"]
+    prim.attribute(f"newton:{kind}:position", "float", position)
+    prim.attribute(f"state:{kind}:physics:position", "float", position)
+    prim.attribute(f"state:{kind}:physics:velocity", "float", 0.0)

@@ -1,15 +1,14 @@
-"""The features that a stage keeps, and the losses of a scene in it."""
+"""The losses of a scene in a stage; ``features.yaml`` has the fidelity of each feature."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
-from simfoundry.backends.features import SupportCell, approximated, dropped, exact
-from simfoundry.backends.losses import Loss, approximate, drop
-from simfoundry.backends.robot_models.robot_urdf import CONVERTED
+from simfoundry.backends.features import Loss, approximate, drop, read_cells
 from simfoundry.backends.usd.bodies import is_static
-from simfoundry.backends.usd.materials import texture_of
+from simfoundry.backends.usd.shapes import texture_of
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
@@ -17,37 +16,7 @@ from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene,
 HULL_VERTICES = 64
 """PhysX's limit of the vertices of a convex hull (its documentation of ``PxConvexMeshDesc``)."""
 
-_COMBINE = "It is exact with PhysX's combine mode `multiply`, which other readers do not support."
-_RESISTANCE = "PhysX has no attribute for it in USD; Newton reads it."
-
-FEATURES: dict[str, SupportCell] = {
-    "robots": approximated(CONVERTED),
-    "robot_motors": SupportCell(reason="Drives have the gains from the robot's file."),
-    "robot_contacts": approximated(
-        "Each shape has one friction, combined by the reader's rule; the robot's file may differ."
-    ),
-    **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights"),
-    "point_lights": approximated(
-        "Its intensity falls off with the square of the distance, and has the stated value at 1 m."
-    ),
-    **exact("dome_lights", "background_mesh", "background_splat"),
-    **exact("pose", "fixed", "category", "labels", "variants", "visuals", "texture", "mass", "inertia"),
-    **exact("box", "sphere", "cylinder", "capsule"),
-    "convex_mesh": SupportCell(reason=f"PhysX keeps up to {HULL_VERTICES} vertices."),
-    "friction": approximated(_COMBINE),
-    "restitution": approximated(_COMBINE),
-    "torsional_friction": dropped(_RESISTANCE),
-    "rolling_friction": dropped(_RESISTANCE),
-    **exact("no_contact"),
-    "fixed_joint": SupportCell(reason="Objects that cannot move are one body without joints."),
-    **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
-    **exact("joint_damping", "joint_friction", "armature"),
-    "ball": SupportCell(reason="PhysX's ball joints have neither damping nor friction."),
-    **exact("free"),
-    "mimic": SupportCell(reason="A joint can only follow a joint of the same kind."),
-    **exact("drive"),
-}
-"""The fidelity of each feature in USD."""
+FEATURES = read_cells(Path(__file__).parent)
 
 
 def usd_losses(scene: Scene) -> tuple[Loss, ...]:
@@ -71,7 +40,7 @@ def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
             yield approximate(name, "", reason, abs(math.sqrt(worst) - worst))
     for name in ("torsional_friction", "rolling_friction"):
         if any(getattr(collider, name) for collider in colliders):
-            yield drop(name, "", _RESISTANCE)
+            yield drop(name, "", FEATURES[name].reason)
 
 
 def _object(item: SceneObject) -> Iterator[Loss]:
@@ -116,5 +85,4 @@ def _hull(element: str, collider: Collider) -> Iterator[Loss]:
 def _lights(scene: Scene) -> Iterator[Loss]:
     for light in scene.lights:
         if light.type is LightType.POINT:
-            reason = "Its intensity falls off with the square of the distance, and has the stated value at 1 m."
-            yield approximate("point_lights", light.name, reason)
+            yield approximate("point_lights", light.name, FEATURES["point_lights"].reason)

@@ -1,17 +1,18 @@
-"""Prims, attributes, relationships and transforms of a stage.
+"""Prims of a stage, and their text.
 
-Prims are plain Python objects that :mod:`~simfoundry.backends.usd.usda` converts to text; authoring through USD's own
-layers takes five times as long. Vectors, quaternions (w first) and matrix rows are tuples; arrays are lists.
+Prims are plain Python objects; :func:`usda` formats them like USD's own writer. Authoring through USD's own layers
+takes five times as long. Vectors, quaternions (w first) and matrix rows are tuples; arrays are lists.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple
 
-from simfoundry.backends.artifact import rounded
+from simfoundry.backends.artifact import number, rounded
 from simfoundry.geometry.frames import IDENTITY, Pose
 
 
@@ -68,49 +69,37 @@ class Prim:
         self.variants[name] = Prim(self.name, self.type_name, self.path)
         return self.variants[name]
 
+    def define(self, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
+        """Define a child prim of the given type and apply API schemas to it, which need not be registered."""
+        self.children[name] = Prim(name, type_name, f"{self.path}/{name}", specifier, schemas=list(schemas))
+        return self.children[name]
 
-def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
-    """Define a child prim of the given type and apply API schemas to it."""
-    prim = Prim(name, type_name, f"{parent.path}/{name}", specifier, schemas=list(schemas))
-    parent.children[name] = prim
-    return prim
+    def attribute(self, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
+        """Author an attribute; names in ``simfoundry:`` are custom because no schema defines them."""
+        self.properties[name] = Attribute(type_name, value, uniform)
 
+    def connect(self, name: str, type_name: str, source: str) -> None:
+        """Author an attribute that is connected to the property at the path ``source``."""
+        self.properties[name] = Attribute(type_name, None, source=source)
 
-def apply_schemas(prim: Prim, schemas: Sequence[str]) -> None:
-    """Apply API schemas by name; PhysX and Newton schemas need not be registered."""
-    prim.schemas.extend(schemas)
+    def relate(self, name: str, targets: Iterable[Prim | str]) -> None:
+        """Author a relationship to other prims or stage paths."""
+        self.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
 
-
-def attribute(prim: Prim, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
-    """Author an attribute of ``prim``; names in ``simfoundry:`` are custom because no schema defines them."""
-    prim.properties[name] = Attribute(type_name, value, uniform)
-
-
-def connect(prim: Prim, name: str, type_name: str, source: str) -> None:
-    """Author an attribute of ``prim`` that is connected to the property at the path ``source``."""
-    prim.properties[name] = Attribute(type_name, None, source=source)
-
-
-def relate(prim: Prim, name: str, targets: Iterable[Prim | str]) -> None:
-    """Author a relationship from ``prim`` to other prims or stage paths."""
-    prim.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
-
-
-def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
-    """Set the pose of ``prim`` in its parent, in double precision; ``scale`` applies first."""
-    operations = []
-    p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
-    if any(p):
-        attribute(prim, "xformOp:translate", "double3", tuple([settled(v) for v in p]))
-        operations.append("xformOp:translate")
-    if any(q[1:]):
-        attribute(prim, "xformOp:orient", "quatd", quat(q))
-        operations.append("xformOp:orient")
-    if scale is not None:
-        attribute(prim, "xformOp:scale", "double3", tuple([rounded(v) for v in scale]))
-        operations.append("xformOp:scale")
-    if operations:
-        attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
+    def place(self, pose: Pose, scale: Sequence[float] | None = None) -> None:
+        """Set the pose in the parent, in double precision; ``scale`` applies first."""
+        p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
+        operations: dict[str, tuple[str, tuple[float, ...]]] = {}
+        if any(p):
+            operations["xformOp:translate"] = "double3", tuple([settled(v) for v in p])
+        if any(q[1:]):
+            operations["xformOp:orient"] = "quatd", quat(q)
+        if scale is not None:
+            operations["xformOp:scale"] = "double3", tuple([rounded(v) for v in scale])
+        for name, (type_name, value) in operations.items():
+            self.attribute(name, type_name, value)
+        if operations:
+            self.attribute("xformOpOrder", "token[]", list(operations), uniform=True)
 
 
 def settled(value: float) -> float:
@@ -130,3 +119,131 @@ _MOST = 3.4028235e38
 def quat(q: Iterable[float]) -> tuple[float, ...]:
     """Return a wxyz quaternion rounded to twelve decimals."""
     return tuple([settled(v) for v in q])
+
+
+_STEP = "    "
+
+
+def usda(root: Prim, custom_data: Mapping[str, Any]) -> bytes:
+    """Return a layer in meters and kilograms with z up, with ``root`` as its default prim."""
+    head = [
+        *(_dictionary("customLayerData", custom_data, _STEP) if custom_data else ()),
+        f"{_STEP}defaultPrim = {quoted(root.name)}",
+        f"{_STEP}kilogramsPerUnit = 1",
+        f"{_STEP}metersPerUnit = 1",
+        f'{_STEP}upAxis = "Z"',
+    ]
+    lines = ["#usda 1.0", "(", *head, ")", ""]
+    _append_prim(lines, root, "")
+    return "\n".join([*lines, "", ""]).encode()
+
+
+def _append_prim(lines: list[str], prim: Prim, indent: str) -> None:
+    kind = f"{prim.specifier} {prim.type_name}".rstrip()
+    _append_body(lines, prim, f"{indent}{kind} {quoted(prim.name)}", "\n" + indent, indent)
+
+
+def _append_body(lines: list[str], prim: Prim, opening: str, before_brace: str, indent: str) -> None:
+    """Append metadata in parentheses, then properties, variants and children in braces."""
+    inside = indent + _STEP
+    metadata = list(_metadata(prim, inside))
+    if metadata:
+        lines += [f"{opening} (", *metadata]
+        opening = f"{indent})"
+    lines.append(f"{opening}{before_brace}{{")
+    lines += [f"{inside}{_property(name, prim.properties[name])}" for name in sorted(prim.properties)]
+    if prim.variants:
+        lines.append(f'{inside}variantSet "variant" = {{')
+        for name, variant in sorted(prim.variants.items()):
+            _append_body(lines, variant, f"{inside}{_STEP}{quoted(name)}", " ", inside + _STEP)
+        lines.append(f"{inside}}}")
+    gap = bool(prim.properties)
+    for child in prim.children.values():
+        if gap:
+            lines.append("")
+        _append_prim(lines, child, inside)
+        gap = True
+    lines.append(f"{indent}}}")
+
+
+def _metadata(prim: Prim, indent: str) -> Iterator[str]:
+    if prim.schemas:
+        yield f"{indent}prepend apiSchemas = {_schemas(tuple(prim.schemas))}"
+    if prim.custom_data:
+        yield from _dictionary("customData", prim.custom_data, indent)
+    if prim.kind:
+        yield f"{indent}kind = {quoted(prim.kind)}"
+    if prim.references:
+        yield f"{indent}prepend references = {_list(prim.references)}"
+    if prim.variants:
+        yield from _dictionary("variants", {"variant": prim.selected}, indent)
+        yield f'{indent}prepend variantSets = "variant"'
+
+
+@lru_cache(maxsize=256)
+def _schemas(names: tuple[str, ...]) -> str:
+    return _list(map(quoted, names))
+
+
+def _dictionary(name: str, entries: Mapping[str, Any], indent: str) -> Iterator[str]:
+    yield f"{indent}{name} = {{"
+    for key, value in sorted(entries.items()):
+        match value:
+            case dict():
+                yield from _dictionary(f"dictionary {key}", value, indent + _STEP)
+            case str():
+                yield f"{indent}{_STEP}string {key} = {quoted(value)}"
+            case _:
+                yield f"{indent}{_STEP}string[] {key} = {_list(map(quoted, value))}"
+    yield f"{indent}}}"
+
+
+def _property(name: str, found: Attribute | Targets) -> str:
+    custom = "custom " if name.startswith("simfoundry:") else ""
+    if isinstance(found, Targets):
+        paths = [f"<{path}>" for path in found.paths]
+        return f"{custom}rel {name} = {paths[0] if len(paths) == 1 else _list(paths)}"
+    type_name, value, uniform, source = found
+    declared = f"{custom}{'uniform ' if uniform else ''}{type_name} {name}"
+    if source:
+        return f"{declared}.connect = <{source}>"
+    return declared if value is None else f"{declared} = {_TEXT[type(value)](value)}"
+
+
+def _row(values: tuple[Any, ...]) -> str:
+    """Format a vector of numbers, or a matrix of such rows."""
+    items = map(number, values) if isinstance(values[0], float) else [_TEXT[type(v)](v) for v in values]
+    return f"({', '.join(items)})"
+
+
+def _list(items: Iterable[str]) -> str:
+    return f"[{', '.join(items)}]"
+
+
+@lru_cache(maxsize=16384)  # the same strings occur many times
+def quoted(text: str) -> str:
+    """Quote a string with the quotes that need the fewest escapes; triple quotes if it has several lines."""
+    quote = "'" if '"' in text and "'" not in text else '"'
+    fence = quote * 3 if "\n" in text else quote
+    return f"{fence}{text.translate(_ESCAPES[quote])}{fence}"
+
+
+def _escapes(quote: str) -> list[str]:
+    """Return the escaped form of each ASCII character within the given quotes."""
+    plain = {chr(k): chr(k) for k in range(128)}
+    control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
+    return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())
+
+
+_ESCAPES = {quote: _escapes(quote) for quote in "'\""}
+
+_TEXT: dict[type, Callable[[Any], str]] = {
+    float: number,
+    tuple: _row,
+    list: lambda values: _list([_TEXT[type(v)](v) for v in values]),
+    str: quoted,
+    bool: lambda value: str(int(value)),
+    int: str,
+    Asset: lambda asset: f"@{asset.path}@",
+}
+"""The formatting function for each type of value."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import rounded
-from simfoundry.backends.losses import Loss, approximate, drop
+from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
-from simfoundry.backends.usd.cameras import define_camera
-from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate
+from simfoundry.backends.usd.prims import Prim
+from simfoundry.backends.usd.surroundings import define_camera
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import MountedCamera, Scene, SceneObject
 from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot, mujoco_model
@@ -43,7 +43,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
     found = RobotsInUsd()
     if not scene.robots:
         return found
-    parent = define(world, "Robots", "Xform")
+    parent = world.define("Robots", "Xform")
     parent.kind = "group"
     for robot in scene.robots:
         wanted = [m.link for m in scene.mounted if m.carrier == robot.name]
@@ -58,8 +58,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
 
 
 def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    from simfoundry.backends.robot_models.robot_object import as_object
-    from simfoundry.backends.robot_models.robot_urdf import conversion_losses
+    from simfoundry.backends.robot_models.robot_object import as_object, conversion_losses
 
     made = as_object(robot, read_robot(robot, source, f"{robot.name}."))
     define_object(scopes, made.item)
@@ -86,14 +85,14 @@ def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], f
     folder = f"robots/{native.file.stem}_{native.digest[:8]}"
     top = native.file.parent
     found.files |= {f"{folder}/{f.relative_to(top).as_posix()}": f.read_bytes() for f in model_files(native.file)}
-    prim = define(parent, robot.name, "Xform")
+    prim = parent.define(robot.name, "Xform")
     prim.kind = "component"
-    place(prim, robot.X_WB)
-    model = define(prim, "Model", "Xform")
+    prim.place(robot.X_WB)
+    model = prim.define("Model", "Xform")
     model.references.append(f"@./{folder}/{native.file.name}@")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
-    place(model, _UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
+    model.place(_UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
     by_name: dict[str, Usd.Prim] = {}
     for one in Usd.PrimRange(default):
         by_name.setdefault(one.GetName(), one)
@@ -124,7 +123,7 @@ def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":
             below = spec.children.get(name)
-            spec = below if below is not None else define(spec, name, "", specifier="over")
+            spec = below if below is not None else spec.define(name, "", specifier="over")
     return spec
 
 
@@ -134,11 +133,11 @@ def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
 
     kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
     value = rounded(position * (1.0 if kind == "linear" else math.degrees(1.0)))
-    apply_schemas(spec, [f"PhysicsJointStateAPI:{kind}"])
-    attribute(spec, f"state:{kind}:physics:position", "float", value)
-    attribute(spec, f"state:{kind}:physics:velocity", "float", 0.0)
+    spec.schemas += [f"PhysicsJointStateAPI:{kind}"]
+    spec.attribute(f"state:{kind}:physics:position", "float", value)
+    spec.attribute(f"state:{kind}:physics:velocity", "float", 0.0)
     if UsdPhysics.DriveAPI.Get(joint, kind):
-        attribute(spec, f"drive:{kind}:physics:targetPosition", "float", value)
+        spec.attribute(f"drive:{kind}:physics:targetPosition", "float", value)
 
 
 def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
@@ -152,8 +151,8 @@ def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
         if sum(bool(targets) for targets in moved) == 1:
             return
     if bodies:
-        anchor = define(prim, "Anchor", "PhysicsFixedJoint")
-        relate(anchor, "physics:body1", [_over(model, default, bodies[0])])
+        anchor = prim.define("Anchor", "PhysicsFixedJoint")
+        anchor.relate("physics:body1", [_over(model, default, bodies[0])])
 
 
 def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
-from simfoundry.assets.lathe import ring_faces
+from simfoundry.assets.solids import ring_faces
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_mesh
 from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Mesh
-from simfoundry.geometry.tessellate import closed_mesh
+from simfoundry.geometry.shapes import Mesh, closed_mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
 FOOT_MARGIN = 0.15  # of the foot's radius, that the center of mass must keep from the edge of the foot

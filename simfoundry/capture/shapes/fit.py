@@ -14,8 +14,7 @@ from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, gather
 from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.geometry.tessellate import revolved
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere, revolved
 
 MIN_POINTS = 12  # points: twice the parameters of a box
 PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a meter [m]

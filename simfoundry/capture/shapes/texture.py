@@ -15,8 +15,7 @@ from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Array, frozen_array
-from simfoundry.geometry.shapes import Mesh
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Mesh, tessellate
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show

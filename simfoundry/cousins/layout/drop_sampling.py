@@ -12,10 +12,9 @@ from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe.candidate import Reason
-from simfoundry.geometry.cavity import Cavity
+from simfoundry.geometry.cavity import Cavity, volume_samples
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
-from simfoundry.geometry.volume_samples import volume_samples
 from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis

@@ -20,8 +20,7 @@ from simfoundry.cousins.layout.rejection_sampling import Found, Mask, Region
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin, TwinError
 from simfoundry.cousins.recipe.candidate import Reason, Rejected
-from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.poses import Poses, rotations
+from simfoundry.geometry.frames import Array, Pose, Poses, rotations
 from simfoundry.predicates.judging.view import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 

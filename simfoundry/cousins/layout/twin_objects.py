@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.cousins.layout.supports import Outline, Support, edges_of, support_of, supports_of
 from simfoundry.cousins.layout.views import VisibleSurface
-from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, rotations
 from simfoundry.geometry.hulls import Hulls
-from simfoundry.geometry.poses import rotations
 from simfoundry.geometry.shapes import Cylinder
 from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses, weld_groups

@@ -10,8 +10,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.ray_casts import first_hits, scattered_rays
-from simfoundry.geometry.shapes import Geometry
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Geometry, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, SceneObject
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simfoundry.cousins.objects.components import Component, Kind
-from simfoundry.cousins.objects.geometry import Edit, Rng
-from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
+from simfoundry.cousins.objects.geometry import Edit
+from simfoundry.cousins.objects.parts import MAIN, Component, Key, Kind, parts_of, with_parts
+from simfoundry.cousins.objects.profiles import Rng
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Material
 
@@ -229,7 +229,7 @@ ACCENTS = (Kind.HANDLE, Kind.KNOB, Kind.CAP, Kind.BAND)
 """Kinds of components that have a color of their own."""
 
 APPEARANCE = (
-    (recolor, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
+    (recolor, MAIN),
     (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
     (change_material, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
 )

@@ -16,8 +16,7 @@ from simfoundry.cousins.objects.appearance import CategoryPrior, category_prior
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.grasp_width import grasp_width
-from simfoundry.geometry.shapes import Box
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.predicates import Judge
 from simfoundry.predicates.judging.bodies import PredicateError
 from simfoundry.robots.reach import hands_of

@@ -7,7 +7,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,10 +18,10 @@ from pydantic import BaseModel, Field
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
-from simfoundry.cousins.objects.item import ObjectAsset, item_of_mesh, lay, lowered
-from simfoundry.cousins.objects.meshes import FOLDER, joined
+from simfoundry.cousins.objects.item import ObjectAsset, alone, item_of_mesh
+from simfoundry.cousins.objects.meshes import joined, mesh_files
 from simfoundry.cousins.objects.procedural import Draft
-from simfoundry.cousins.objects.retrieval import USUAL, Retrieval, VariantLibrary
+from simfoundry.cousins.objects.retrieval import USUAL, VariantLibrary
 from simfoundry.cousins.objects.variants import Origins
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
@@ -32,8 +31,7 @@ from simfoundry.models.generators import ImageEditor, MeshMaker, images_from_env
 from simfoundry.models.vlm import Vlm
 from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import install_line
-from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Camera, Scene, SceneObject
+from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
@@ -59,7 +57,6 @@ class PromptModel(Protocol):
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
         """Return the answer to a prompt about PNG images; raises :class:`SimfoundryError`."""
-        ...
 
 
 class VariationProposal(NamedTuple):
@@ -119,14 +116,16 @@ class Generation:
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[VariationProposal]:
         """Run prompts A, B and C; yield the proposals in turn over the components, so that the first few differ."""
-        names = self.vlm.ask(prompt("A"), [picture], ComponentNames).components
+        names = self.vlm.ask(prompt("a_components"), [picture], ComponentNames).components
         wanted = [name for name in names if not axis.components or name in axis.components]
         queues = []
         for name in wanted:
             geometry, topology, visual = self.counts
-            if topology and not self.vlm.ask(prompt("B", component=name), [picture], TopologyAnswer).yes:
+            if topology and not self.vlm.ask(prompt("b_topology", component=name), [picture], TopologyAnswer).yes:
                 topology = 0
-            asked = prompt("C", component=name, num_geometry=geometry, num_topology=topology, num_visual=visual)
+            asked = prompt(
+                "c_variations", component=name, num_geometry=geometry, num_topology=topology, num_visual=visual
+            )
             told = self.vlm.ask(asked, [picture], Variations)
             limits = dict(zip(DIMENSIONS, (geometry, topology, visual), strict=True))
             queue = [
@@ -141,20 +140,16 @@ class Generation:
 
     def _edited(self, picture: bytes, proposal: VariationProposal) -> bytes | Reason:
         """Run prompts D and E; return an image that the VLM finds reasonable, or the reason that there is none."""
-        asked = prompt(
-            "D",
-            component=proposal.component,
-            dimension=proposal.dimension,
-            variation_description=proposal.words,
-        )
+        component, dimension, words = proposal
+        asked = prompt("d_edit", component=component, dimension=dimension, variation_description=words)
         why = ""
         for _ in range(ATTEMPTS):
             made = self.images.edit(asked, [picture, self.scene])
-            verdict = self.vlm.ask(prompt("E"), [self.scene, made], PictureVerdict)
+            verdict = self.vlm.ask(prompt("e_verify"), [self.scene, made], PictureVerdict)
             if verdict.real_world_reasonable and verdict.scene_reasonable:
                 return made
             why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
-        text = f"{proposal.component}, {proposal.words}: no reasonable image in {ATTEMPTS} attempts: {why}"
+        text = f"{component}, {words}: no reasonable image in {ATTEMPTS} attempts: {why}"
         return Reason("picture", text, {"attempts": float(ATTEMPTS)})
 
 
@@ -170,11 +165,8 @@ def built(item: ObjectAsset, glb: bytes, proposal: VariationProposal) -> Draft:
         read = joined(read_parts(path))
         if read is None:
             raise MeshError("SF301", "the generated mesh has several textures, which one OBJ cannot hold")
-        low, high = _bounds_of(item)
-        vertices = fitted(read.vertices, low, high)
-        mesh = Mesh(frozen_array(vertices), read.faces, read.uv, read.texture)
-        written = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
-        first = next(iter(written))
+        vertices = fitted(read.vertices, *bounds(alone(item)))
+        first, written = mesh_files(Mesh(frozen_array(vertices), read.faces, read.uv, read.texture))
         kept = Path(scratch) / Path(first).name
         kept.write_bytes(written[first])
         material = next((m for m in item.spec.materials.values() if m.density is not None), USUAL)
@@ -203,7 +195,7 @@ def picture_of(item: ObjectAsset, side: int = SIDE) -> bytes:
     """
     from PIL import Image
 
-    thing = _alone(item)
+    thing = alone(item)
     low, high = bounds(thing)
     middle, far = (low + high) / 2, 2.2 * float(np.linalg.norm(high - low))
     eye = middle + far * np.array([0.72, -0.35, 0.6])
@@ -217,43 +209,22 @@ def picture_of(item: ObjectAsset, side: int = SIDE) -> bytes:
     return stream.getvalue()
 
 
-def _alone(item: ObjectAsset) -> SceneObject:
-    with TemporaryDirectory(prefix="simfoundry-alone-") as folder:
-        lay(item.files, Path(folder))
-        return lowered(item.spec, Path(folder), item.name)
+# Answers of models are validated by a schema, never executed, and limited in length.
 
 
-def _bounds_of(item: ObjectAsset) -> tuple[Array, Array]:
-    return bounds(_alone(item))
-
-
-PROMPTS = {
-    "A": "a_components.j2",
-    "B": "b_topology.j2",
-    "C": "c_variations.j2",
-    "D": "d_edit.j2",
-    "E": "e_verify.j2",
-}
-"""The prompts: functional components, topology check, variations, image edit, verdict."""
-
-
-class PromptAnswer(BaseModel):
-    """A model's answer: validated by a schema, never executed, and limited in length."""
-
-
-class ComponentNames(PromptAnswer):
+class ComponentNames(BaseModel):
     """Answer to prompt A."""
 
     components: list[str] = Field(min_length=1, max_length=16, description="Names of the functional components.")
 
 
-class TopologyAnswer(PromptAnswer):
+class TopologyAnswer(BaseModel):
     """Answer to prompt B."""
 
     yes: bool = Field(description="Whether a variation of topology is reasonable.")
 
 
-class Variations(PromptAnswer):
+class Variations(BaseModel):
     """Answer to prompt C."""
 
     geometry: list[str] = Field(default=[], max_length=16, description="Variations of geometry.")
@@ -261,7 +232,7 @@ class Variations(PromptAnswer):
     visual: list[str] = Field(default=[], max_length=16, description="Variations of the looks.")
 
 
-class PictureVerdict(PromptAnswer):
+class PictureVerdict(BaseModel):
     """Answer to prompt E."""
 
     real_world_reasonable: bool = Field(description="Whether such a thing is reasonable in the real world.")
@@ -270,20 +241,15 @@ class PictureVerdict(PromptAnswer):
     scene_reason: str = Field(max_length=300, description="Why, in short.")
 
 
-def prompt(letter: str, **variables: Any) -> str:
-    """Render a prompt; raises an error if a variable that it needs is missing."""
-    return str(_environment().get_template(PROMPTS[letter]).render(**variables)).strip()
-
-
-@cache
-def _environment() -> Any:
+def prompt(name: str, **variables: Any) -> str:
+    """Render a prompt of the paper; raises an error if a variable that it needs is missing."""
     try:
-        from jinja2 import DictLoader, Environment, StrictUndefined
+        from jinja2 import Environment, StrictUndefined
     except ImportError:
         raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
-    folder = files("simfoundry.cousins.objects") / "prompts"
-    texts = {name: (folder / name).read_text(encoding="utf-8") for name in PROMPTS.values()}
-    return Environment(loader=DictLoader(texts), undefined=StrictUndefined, autoescape=False)  # plain text, no HTML
+    text = (files(__package__) / "prompts" / f"{name}.j2").read_text(encoding="utf-8")
+    template = Environment(undefined=StrictUndefined, autoescape=False).from_string(text)  # plain text, no HTML
+    return template.render(**variables).strip()
 
 
 @dataclass(frozen=True)
@@ -305,7 +271,7 @@ def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> 
     if "library" in wanted:
         if given.library is None:
             raise _lacking(wanted["library"], "library", "a `library`")
-        found["library"] = Retrieval(VariantLibrary(given.library, cache))
+        found["library"] = VariantLibrary(given.library, cache)
     if "model" in wanted:
         found["model"] = _generation(axis, given, wanted["model"])
     return found
@@ -313,7 +279,9 @@ def opened(axis: ObjectAxis, given: SourceSetup, cache: Cache | None = None) -> 
 
 def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
     """Create the models of the paper as configured by the recipe and the environment."""
-    models, lacks = axis.models, []
+    models = axis.models
+    named = models.vlm or given.vlm
+    lacks = [] if named else ["no vision-language model: give --vlm, or `vlm` in the recipe's `models`"]
     try:
         images = images_from_environment(model=models.images)
     except SimfoundryError as error:
@@ -322,9 +290,6 @@ def _generation(axis: ObjectAxis, given: SourceSetup, name: str) -> Generation:
         meshes = meshes_from_environment(texture=models.texture)
     except SimfoundryError as error:
         lacks.append(str(error))
-    named = models.vlm or given.vlm
-    if not named:
-        lacks.insert(0, "no vision-language model: give --vlm, or `vlm` in the recipe's `models`")
     if lacks:
         raise _lacking(name, "model", f"models that are not available: {'; '.join(lacks)}")
     from simfoundry.cousins.run.report import draw

@@ -6,32 +6,57 @@ uniform factor keeps them together.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from simfoundry.cousins.objects.components import Component, Kind, components
 from simfoundry.cousins.objects.parts import (
+    MAIN,
+    Component,
     Key,
-    Profile,
+    Kind,
     aimed,
     at,
     axis_of,
     bounds,
+    capsule,
+    components,
+    cylinder,
     each,
-    flared,
     is_level,
+    lathe_of,
     moved,
+    outward,
+    parts_in,
     parts_of,
     rod,
     shaped,
-    swelled,
-    thickened,
     with_parts,
     with_rod,
+)
+from simfoundry.cousins.objects.profiles import (
+    THINNEST,
+    Profile,
+    Rng,
+    flared,
+    forms_of,
+    outside,
+    swelled,
+    thickened,
+    walled,
 )
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
-from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
+from simfoundry.spec.models.base import (
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    LatheShape,
+    PrismShape,
+    Shape,
+    SphereShape,
+)
 
 SQUARE = 1e-6
 """Tolerance between a rotation matrix and a permutation for a rotation that maps boxes onto the axes."""
@@ -72,11 +97,11 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
         if size is not None:
             return _leaning_rod(there, size, turn[:, 2], f)
         upright = abs(turn[2, 2]) > 1 - SQUARE and abs(f[0] - f[1]) < SQUARE
-        local = np.array([f[0], f[1], f[2]]) if upright else np.full(3, float(np.cbrt(f.prod())))
-    return shaped(there, _scaled(there.shape, local))
+        local = np.array(f) if upright else np.full(3, float(np.cbrt(f.prod())))
+    return shaped(there, _scaled(part.shape, local))
 
 
-def _scaled(shape: Shape | None, f: Array) -> Shape:
+def _scaled(shape: Shape, f: Array) -> Shape:
     """Return a shape with its own axes scaled by ``f``, shape (3,)."""
     x, y, z = (float(v) for v in f)
     across = float(np.sqrt(x * y))
@@ -92,12 +117,10 @@ def _scaled(shape: Shape | None, f: Array) -> Shape:
         case PrismShape():
             outline = tuple((u * x, v * y) for u, v in shape.prism.outline)
             return PrismShape.model_validate({"prism": {"outline": outline, "height": shape.prism.height * z}})
-    part = PartSpec(shape=shape)
-    size = rod(part)
-    assert size is not None
-    scaled = with_rod(part, size[0] * across, size[1] * z).shape
-    assert scaled is not None
-    return scaled
+        case CylinderShape(cylinder=size):
+            return cylinder(size.radius * across, size.height * z)
+        case CapsuleShape(capsule=size):
+            return capsule(size.radius * across, size.height * z)
 
 
 def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Array) -> PartSpec:
@@ -146,8 +169,6 @@ def _is_square(rotation: Array) -> bool:
 Edit = tuple[AssetSpec, str]
 """The changed asset, and a description of the change."""
 
-Rng = np.random.Generator
-
 LEAST, MOST = 0.74, 1.36
 """Range of the stretch factor along each axis; results outside their category are rejected by size and mass."""
 
@@ -157,13 +178,45 @@ ATTACHED = 0.6
 
 def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
     """Stretch the whole object in length, width and height, including loose links so that they fit."""
-    parts = list(parts_of(spec).values())
-    if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls of one game differ little
+    if is_ball(spec):  # balls of one game differ little
         factor = np.full(3, rng.uniform(0.94, 1.06))
     else:
         factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
     sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
     return stretched(spec, factor), f"stretched: {sizes}"
+
+
+HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
+"""Factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in shops."""
+
+SMALLEST_FOOT = 0.35
+"""Minimum foot radius as a share of the rim's radius; below it the vessel topples when pushed."""
+
+
+def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """Replace the silhouette of a vessel by one of a family that fits its height, with new sizes, wall and foot."""
+    lathe = lathe_of(spec, component)
+    if lathe is None or len(spec.links) > 1:  # a lid fits the existing rim
+        return None
+    key, old = lathe
+    if not old.is_hollow:
+        return None
+    widest = float(old.outer[:, 0].max())
+    was = np.array([old.height, widest, old.thinnest])
+    height, rim, wall = (float(v) for v in was * [_factor(rng, between) for between in (HEIGHTS, RIMS, WALLS)])
+    forms = forms_of(old.height / widest)
+    name = list(forms)[int(rng.integers(len(forms)))]
+    share, form = forms[name]
+    foot = rim * float(np.clip(rng.uniform(*share), SMALLEST_FOOT, 1.0))
+    floor = max((old.height - old.depth) * float(rng.uniform(0.85, 1.2)), wall)
+    made = walled(outside(form, foot, rim, height, rng), max(wall, THINNEST), floor)
+    if made is None:
+        return None
+    return with_profile(spec, key, old, made), f"{name}, {height * 1000:.0f} mm high, {2 * rim * 1000:.0f} mm wide"
+
+
+def _factor(rng: Rng, between: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(between))))
 
 
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -200,65 +253,28 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Change the sizes of a handle, knob, cap or stem; its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
-    parts = parts_of(spec)
-    body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
-    out = outward(body, [parts[k] for k in component.parts])
+    out = outward(spec, component)
     if out is None:
         return None
     # The handle extends from the body: scaled along `out` by the reach and across it by the span.
     factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
-    anchor = _anchor([parts[k] for k in component.parts], out)
-    changed = dict(parts)
-    for key in component.parts:
-        part = moved(parts[key], at(parts[key]) - anchor)
-        part = stretched_part(part, factor)
-        if (size := rod(part)) is not None and (was := rod(parts[key])) is not None:
-            part = with_rod(part, was[0] * thick, size[1])
-        changed[key] = moved(part, at(part) + anchor)
-    return with_parts(spec, changed), f"{component.name}: reach x {reach:.2f}, span x {span:.2f}, rods x {thick:.2f}"
-
-
-def outward(body: list[PartSpec], handle: list[PartSpec]) -> Array | None:
-    """Signed axis along which a component protrudes from the rest of its link, shape (3,)."""
-    if not body:
-        return None
-    low, high = bounds(body)
-    mine_low, mine_high = bounds(handle)
-    over = np.concatenate([mine_high - high, low - mine_low])
-    k = int(over.argmax())
-    if over[k] <= 0:
-        return None
-    axis = np.zeros(3)
-    axis[k % 3] = 1.0 if k < 3 else -1.0
-    return axis
-
-
-def _anchor(handle: list[PartSpec], out: Array) -> Array:
-    """Attachment point of a component: its end opposite to ``out``, centered across [m]."""
-    low, high = bounds(handle)
-    k = int(np.abs(out).argmax())
-    anchor = (low + high) / 2
-    anchor[k] = low[k] if out[k] > 0 else high[k]
-    return np.asarray(anchor)
-
-
-def _reprofiled(spec: AssetSpec, component: Component, change: object, words: str) -> Edit | None:
-    """Return the asset with the profile of a component's lathe changed, and all attached parts moved along."""
-    assert callable(change)
-    key = lathe_of(spec, component)
-    if key is None:
-        return None
-    shape = parts_of(spec)[key].shape
-    assert isinstance(shape, LatheShape)
-    old = Profile.of(shape)
-    return with_profile(spec, key, old, change(old)), words
-
-
-def lathe_of(spec: AssetSpec, component: Component) -> Key | None:
-    """Key of the component's solid of revolution, the highest if there are several."""
+    # It is attached at its end opposite to `out`, centered across.
+    low, high = bounds(parts_in(spec, component))
+    anchor = np.where(out > 0, low, np.where(out < 0, high, (low + high) / 2))
     parts = parts_of(spec)
-    lathes = [(Profile.of(shape).height, k) for k in component.parts if isinstance(shape := parts[k].shape, LatheShape)]
-    return max(lathes)[1] if lathes else None
+    for key in component.parts:
+        was = parts[key]
+        part = stretched_part(moved(was, at(was) - anchor), factor)
+        if (size := rod(part)) is not None and (old := rod(was)) is not None:
+            part = with_rod(part, old[0] * thick, size[1])
+        parts[key] = moved(part, at(part) + anchor)
+    return with_parts(spec, parts), f"{component.name}: reach x {reach:.2f}, span x {span:.2f}, rods x {thick:.2f}"
+
+
+def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile], Profile], words: str) -> Edit | None:
+    """Return the asset with the profile of a component's lathe changed, and all attached parts moved along."""
+    lathe = lathe_of(spec, component)
+    return None if lathe is None else (with_profile(spec, *lathe, change(lathe[1])), words)
 
 
 def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
@@ -267,13 +283,10 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
     """
     parts = parts_of(spec)
     base = at(parts[key])[2]
-    changed = dict(parts)
-    changed[key] = shaped(parts[key], new.shape)
+    changed = parts | {key: shaped(parts[key], new.shape)}
     for other in components(spec):
-        if other.link == key[0] and key not in other.parts:
-            changed |= _follow({k: parts[k] for k in other.parts}, old, new, base)
-    rest = [k for c in components(spec) if key in c.parts for k in c.parts if k != key]
-    changed |= _follow({k: parts[k] for k in rest}, old, new, base)
+        if other.link == key[0]:
+            changed |= _follow({k: parts[k] for k in other.parts if k != key}, old, new, base)
     return with_parts(spec, changed)
 
 
@@ -321,7 +334,8 @@ def is_radial(part: PartSpec) -> bool:
 
 
 GEOMETRY = (
-    (stretch, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
+    (reshape, (Kind.VESSEL,)),
+    (stretch, MAIN),
     (taper, (Kind.VESSEL, Kind.TURNED)),
     (belly, (Kind.VESSEL, Kind.TURNED)),
     (lip, (Kind.VESSEL,)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
@@ -113,6 +114,13 @@ def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None
     scene = Loaded(path, folder.resolve(), written, (), uses={})
     scene.uses[str(scene.file(file))] = asset
     return lower(scene, cache).object(name)
+
+
+def alone(item: ObjectAsset, cache: Cache | None = None) -> SceneObject:
+    """Lower an object at the origin, with its files copied to a temporary folder."""
+    with TemporaryDirectory(prefix="simfoundry-alone-") as folder:
+        lay(item.files, Path(folder))
+        return lowered(item.spec, Path(folder), item.name, cache)
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:

@@ -8,17 +8,31 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.mesh import MeshPart, read_parts
-from simfoundry.cousins.objects.components import Component, Kind, components
-from simfoundry.cousins.objects.geometry import Rng, lathe_of, outward
-from simfoundry.cousins.objects.parts import Key, Profile, aimed, at, axis_of, parts_of, rod, with_parts
+from simfoundry.assets.mesh import MeshPart, merged, read_parts
+from simfoundry.cousins.objects.parts import (
+    Component,
+    Key,
+    Kind,
+    aimed,
+    at,
+    axis_of,
+    capsule,
+    components,
+    lathe_of,
+    outward,
+    parts_in,
+    parts_of,
+    rod,
+    with_parts,
+)
+from simfoundry.cousins.objects.profiles import Profile, Rng
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 
 FOLDER = "meshes"
 """Folder for the meshes of variants, beside their documents."""
@@ -29,25 +43,48 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
     Raises :class:`MeshError` for a mesh with several textures, which one OBJ cannot hold.
     """
-    change, words = _deformation(rng)
+    factor = np.exp(rng.uniform(np.log(0.88), np.log(1.15), 3))
+    taper, belly = rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)
     new: dict[str, bytes] = {}
     parts = parts_of(spec)
     meshes = {key: part for key, part in parts.items() if part.mesh is not None}
-    span = _heights([(files[part.mesh or ""], part.scale) for part in meshes.values()])
-    changed: dict[Key, PartSpec] = {}
+    read = {key: read_parts(files[part.mesh or ""], part.scale) for key, part in meshes.items()}
+    heights = np.concatenate([piece.vertices[:, 2] for pieces in read.values() for piece in pieces])
+    low, high = float(heights.min()), float(heights.max())
     for key, part in meshes.items():
-        assert part.mesh is not None
-        read = joined(read_parts(files[part.mesh], part.scale))
-        if read is None:
+        piece = joined(read[key])
+        if piece is None:
             message = f"{part.mesh} has several textures, which one OBJ cannot hold"
             raise MeshError("SF301", message, "merge them into one image")
-        vertices = change(read.vertices, *span)
-        mesh = Mesh(frozen_array(vertices), read.faces, read.uv, read.texture)
-        written = obj_with_material(mesh)
-        new |= {f"{FOLDER}/{name}": data for name, data in written.items()}
-        color = part.color if part.color is not None else None if read.texture is not None else _rgb(read)
-        changed[key] = part.model_copy(update={"mesh": f"{FOLDER}/{next(iter(written))}", "scale": 1.0, "color": color})
-    return with_parts(spec, parts | changed), new, words
+        # x and y are scaled by a smooth positive function of the height, and z by a constant: its Jacobian is positive.
+        share = (piece.vertices[:, 2] - low) / (high - low)
+        vertices = piece.vertices * factor
+        vertices[:, :2] *= (1 + taper * (share - 0.5) + belly * np.sin(np.pi * share))[:, None]
+        vertices[:, 2] += low - low * factor[2]  # the base stays in place
+        name, written = mesh_files(Mesh(frozen_array(vertices), piece.faces, piece.uv, piece.texture))
+        new |= written
+        color = part.color
+        if color is None and piece.texture is None and piece.rgba is not None:
+            color = piece.rgba[:3]
+        parts[key] = part.model_copy(update={"mesh": name, "scale": 1.0, "color": color})
+    sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
+    return with_parts(spec, parts), new, f"deformed: {sizes}, taper {taper:+.2f}, belly {belly:+.2f}"
+
+
+def mesh_files(mesh: Mesh) -> tuple[str, dict[str, bytes]]:
+    """Return the name of a mesh's OBJ, and its files by name, all below :data:`FOLDER`."""
+    files = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
+    return next(iter(files)), files
+
+
+def strips(rings: NDArray[np.integer]) -> NDArray[np.int32]:
+    """Return the triangles between adjacent rings of vertices, given by their indices, shape (rings, n).
+
+    The result has the shape (rings - 1, 2, n - 1, 3): in each strip, those with two corners on its first ring come
+    first.
+    """
+    a, b, c, d = rings[:-1, :-1], rings[:-1, 1:], rings[1:, 1:], rings[1:, :-1]
+    return np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=1).astype(np.int32)
 
 
 def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
@@ -56,44 +93,7 @@ def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
         return parts[0]
     if any(p.texture is not None for p in parts):
         return None
-    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
-    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
-    color = next((p.rgba for p in parts if p.rgba is not None), None)
-    return MeshPart(np.concatenate([p.vertices for p in parts]), faces, rgba=color)
-
-
-class _Deformation:
-    """Scaling of x and y by a smooth positive function of the height, and of z by a constant; its Jacobian is
-    positive.
-    """
-
-    def __init__(self, factor: Array, taper: float, belly: float) -> None:
-        self.factor, self.taper, self.belly = factor, taper, belly
-
-    def __call__(self, vertices: Array, low: float, high: float) -> Array:
-        share = (vertices[:, 2] - low) / (high - low)
-        across = 1 + self.taper * (share - 0.5) + self.belly * np.sin(np.pi * share)
-        out = vertices * self.factor
-        out[:, :2] *= across[:, None]
-        out[:, 2] += low - low * self.factor[2]  # the base stays in place
-        return np.asarray(out)
-
-
-def _deformation(rng: Rng) -> tuple[_Deformation, str]:
-    factor = np.exp(rng.uniform(np.log(0.88), np.log(1.15), 3))
-    taper, belly = rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)
-    sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
-    return _Deformation(factor, taper, belly), f"deformed: {sizes}, taper {taper:+.2f}, belly {belly:+.2f}"
-
-
-def _heights(files: list[tuple[Path, float]]) -> tuple[float, float]:
-    heights = [p.vertices[:, 2] for path, scale in files for p in read_parts(path, scale)]
-    every = np.concatenate(heights)
-    return float(every.min()), float(every.max())
-
-
-def _rgb(part: MeshPart) -> tuple[float, float, float] | None:
-    return None if part.rgba is None else part.rgba[:3]
+    return MeshPart(*merged(parts), rgba=next((p.rgba for p in parts if p.rgba is not None), None))
 
 
 RINGS, AROUND = 33, 14
@@ -132,11 +132,13 @@ class Loop:
     @classmethod
     def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
         """Return the loop formed by a component of rods; None for any other component, such as a knob or two lugs."""
-        parts = parts_of(spec)
-        own = [parts[k] for k in component.parts]
+        own = parts_in(spec, component)
         rods = [(part, size) for part in own if (size := rod(part)) is not None]
-        body = [p for k, p in parts.items() if k[0] == component.link and k not in component.parts]
-        out = _out(spec, component, own, body)
+        wall = _wall(spec, component.link)
+        # From the axis of a solid of revolution, else along the nearest axis.
+        middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
+        off = float(np.linalg.norm(middle))
+        out = middle / off if wall is not None and off > 1e-3 else outward(spec, component)
         if out is None or len(rods) != len(own):
             return None
         posts = [(p, size) for p, size in rods if abs(float(axis_of(p) @ out)) > 0.9]
@@ -145,7 +147,7 @@ class Loop:
             return None
         feet = np.array([at(p) - out * size[1] / 2 for p, size in posts])
         reach = float((at(bars[0][0]) - feet.mean(axis=0)) @ out)
-        return cls(feet, out, reach, bars[0][1][0], _wall(spec, component.link)) if reach > 2 * bars[0][1][0] else None
+        return cls(feet, out, reach, bars[0][1][0], wall) if reach > 2 * bars[0][1][0] else None
 
     @property
     def sunk(self) -> float:
@@ -165,20 +167,10 @@ class Loop:
 
 def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
     for component in components(spec):
-        key = lathe_of(spec, component) if component.kind is Kind.VESSEL and component.link == link else None
-        if key is not None:
-            part = parts_of(spec)[key]
-            assert isinstance(part.shape, LatheShape)
-            return Profile.of(part.shape), float(at(part)[2])
+        lathe = lathe_of(spec, component) if component.kind is Kind.VESSEL and component.link == link else None
+        if lathe is not None:
+            return lathe[1], float(at(parts_of(spec)[lathe[0]])[2])
     return None
-
-
-def _out(spec: AssetSpec, component: Component, own: list[PartSpec], body: list[PartSpec]) -> Array | None:
-    """Direction in which a handle protrudes: from the axis of a solid of revolution, else along the nearest axis."""
-    turned = any(c.kind is Kind.VESSEL and c.link == component.link for c in components(spec))
-    middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
-    off = float(np.linalg.norm(middle))
-    return middle / off if turned and off > 1e-3 else outward(body, own)
 
 
 def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
@@ -198,10 +190,9 @@ def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, di
         if loop is None:
             continue
         path = _path(loop, FORMS[name])
-        mesh = _tube(path, loop, broad * loop.radius, flat * loop.radius)
-        written = obj_with_material(mesh)
-        files |= {f"{FOLDER}/{file}": data for file, data in written.items()}
-        spec = _replaced(spec, component, loop, path, flat * loop.radius, f"{FOLDER}/{next(iter(written))}")
+        look, written = mesh_files(_tube(path, loop, broad * loop.radius, flat * loop.radius))
+        files |= written
+        spec = _replaced(spec, component, loop, path, flat * loop.radius, look)
         said = f"{name} handle"
     return spec, files, said
 
@@ -233,19 +224,10 @@ def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
         broad * np.cos(angle)[:, None] * across + flat * np.sin(angle)[:, None] * inward[:, None]
     )
     vertices = loop.outside(np.concatenate([rings.reshape(-1, 3), path[:1], path[-1:]]))
-    here = np.arange(AROUND)
-    after = (here + 1) % AROUND
-    faces = []
-    for k in range(len(path) - 1):
-        low, high = k * AROUND, (k + 1) * AROUND
-        faces += [
-            np.column_stack([low + here, low + after, high + after]),
-            np.column_stack([low + here, high + after, high + here]),
-        ]
-    last, first, end = (len(path) - 1) * AROUND, len(path) * AROUND, len(path) * AROUND + 1
-    faces += [np.column_stack([after, here, np.full(AROUND, first)])]
-    faces += [np.column_stack([last + here, last + after, np.full(AROUND, end)])]
-    every = np.concatenate(faces).astype(np.int32)
+    grid = np.arange(len(path))[:, None] * AROUND + np.arange(AROUND + 1) % AROUND
+    here, after, last, end = grid[0, :-1], grid[0, 1:], grid[-1], np.full(AROUND, len(path) * AROUND)
+    caps = [np.column_stack([after, here, end]), np.column_stack([last[:-1], last[1:], end + 1])]
+    every = np.concatenate([strips(grid).reshape(-1, 3), *caps]).astype(np.int32)
     corners = vertices[every]
     if np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
         every = every[:, ::-1]
@@ -265,19 +247,15 @@ def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, ra
     added: dict[Key, PartSpec] = {}
     for n, (a, b) in enumerate(pairwise(joints)):
         long = float(np.linalg.norm(b - a))
-        shape = CapsuleShape(capsule=Round(radius=round(radius, 6), height=round(long, 6)))
-        piece = PartSpec(shape=shape, pose=aimed((a + b) / 2, (b - a) / long), material=model.material, use="collision")
+        shape, pose = capsule(round(radius, 6), round(long, 6)), aimed((a + b) / 2, (b - a) / long)
+        piece = PartSpec(shape=shape, pose=pose, material=model.material, use="collision")
         added[component.link, f"{component.name}_{n}"] = piece
     look = PartSpec(mesh=mesh, material=model.material, color=model.color, use="visual")
     added[component.link, LOOK if (component.link, LOOK) not in kept else f"{LOOK}_{component.name}"] = look
     return with_parts(spec, kept | added)
 
 
-def _half_round(t: Array) -> tuple[Array, Array]:
-    return (1 - np.cos(np.pi * t)) / 2, np.sin(np.pi * t)
-
-
-def _rounded_corners(t: Array) -> tuple[Array, Array]:
+def _square(t: Array) -> tuple[Array, Array]:
     """Superellipse: nearly straight along the grip, with round corners."""
     c, s = np.cos(np.pi * t), np.sin(np.pi * t)
     return (1 - np.sign(c) * np.abs(c) ** 0.5) / 2, np.abs(s) ** 0.5
@@ -288,30 +266,21 @@ def _ear(t: Array) -> tuple[Array, Array]:
     return (1 - np.cos(np.pi * t)) / 2, 1.05 * np.sin(np.pi * t) * (0.62 + 0.38 * t**1.5) / 0.84
 
 
-def _drop(t: Array) -> tuple[Array, Array]:
-    """Drop shape: farther out near the beginning."""
-    along, off = _ear(1 - t)
-    return 1 - along, off
-
-
 def _ring(t: Array) -> tuple[Array, Array]:
     """More than half a circle, bulging beyond its feet."""
     angle = np.pi * (1.3 * t - 0.15)
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 
 
-def _strap(t: Array) -> tuple[Array, Array]:
-    """Straight out, then curved back to the other foot."""
-    return t**1.6, np.sin(np.pi * t**0.6) ** 0.8
-
-
 FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
-    "half-round": _half_round,
-    "square": _rounded_corners,
+    "half-round": lambda t: ((1 - np.cos(np.pi * t)) / 2, np.sin(np.pi * t)),
+    "square": _square,
     "ear-shaped": _ear,
-    "drop-shaped": _drop,
+    # Farther out near the beginning.
+    "drop-shaped": lambda t: (1 - _ear(1 - t)[0], _ear(1 - t)[1]),
     "ring-shaped": _ring,
-    "strap": _strap,
+    # Straight out, then curved back to the other foot.
+    "strap": lambda t: (t**1.6, np.sin(np.pi * t**0.6) ** 0.8),
 }
 """Tube paths by name: functions of the path parameter that give the position between the feet and the distance out,
 each from 0 to 1.

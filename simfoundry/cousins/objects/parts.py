@@ -1,14 +1,20 @@
-"""Edits of an asset document at the level of parts; every edit returns a new document."""
+"""Edits of an asset document at the level of parts, each of which returns a new document, and functional components.
+
+Components (body, handles, lid, drawers) are found by names, joints and geometry.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from enum import StrEnum
 
 import numpy as np
 
+from simfoundry.cousins.objects.profiles import Profile
+from simfoundry.cousins.recipe.candidate import free_name
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
@@ -19,6 +25,7 @@ from simfoundry.spec.models.base import (
     LatheShape,
     PoseSpec,
     PrismShape,
+    Round,
     Shape,
     SphereShape,
 )
@@ -27,6 +34,8 @@ Key = tuple[str, str]
 """Identifier of a part: the names of its link and of itself."""
 
 Parts = Mapping[Key, PartSpec]
+
+UP = np.array([0.0, 0.0, 1.0])
 
 
 def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
@@ -46,6 +55,13 @@ def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
 def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetSpec:
     """Return the spec with ``change`` applied to every part."""
     return with_parts(spec, {key: change(key, part) for key, part in parts_of(spec).items()})
+
+
+def with_added(spec: AssetSpec, link: str, added: Mapping[str, PartSpec], but: Iterable[Key] = ()) -> AssetSpec:
+    """Return the spec with parts added to a link, under numbered names if these are taken, and without some others."""
+    parts = {key: part for key, part in parts_of(spec).items() if key not in but}
+    names = [name for owner, name in parts if owner == link]
+    return with_parts(spec, parts | {(link, free_name(name, names)): part for name, part in added.items()})
 
 
 def moved(part: PartSpec, xyz: Array) -> PartSpec:
@@ -85,18 +101,24 @@ def is_level(direction: Array) -> bool:
 def rod(part: PartSpec) -> tuple[float, float] | None:
     """Radius and length [m] of a cylinder or capsule, excluding caps; None for any other part."""
     match part.shape:
-        case CylinderShape():
-            return part.shape.cylinder.radius, part.shape.cylinder.height
-        case CapsuleShape():
-            return part.shape.capsule.radius, part.shape.capsule.height
+        case CylinderShape(cylinder=size) | CapsuleShape(capsule=size):
+            return size.radius, size.height
     return None
+
+
+def cylinder(radius: float, height: float) -> CylinderShape:
+    """Return a cylinder [m]."""
+    return CylinderShape(cylinder=Round(radius=float(radius), height=float(height)))
+
+
+def capsule(radius: float, height: float) -> CapsuleShape:
+    """Return a capsule [m]; its height excludes the caps."""
+    return CapsuleShape(capsule=Round(radius=float(radius), height=float(height)))
 
 
 def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
     """Return a cylinder or capsule with other sizes [m]."""
-    kind = CylinderShape if isinstance(part.shape, CylinderShape) else CapsuleShape
-    name = "cylinder" if kind is CylinderShape else "capsule"
-    return shaped(part, kind.model_validate({name: {"radius": float(radius), "height": float(height)}}))
+    return shaped(part, (cylinder if isinstance(part.shape, CylinderShape) else capsule)(radius, height))
 
 
 def corners(part: PartSpec) -> Array:
@@ -136,7 +158,7 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
     return np.array([(r * math.cos(a), r * math.sin(a), z) for r, z in profile for a in turns])
 
 
-def bounds(parts: Iterator[PartSpec] | list[PartSpec]) -> tuple[Array, Array]:
+def bounds(parts: Iterable[PartSpec]) -> tuple[Array, Array]:
     """Lowest and highest corner [m] of the bounding box of parts of one link, shapes (3,)."""
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)
@@ -147,199 +169,189 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-HOLLOW = 0.12
-"""Minimum depth of a cavity as a share of the height."""
+# -- components --------------------------------------------------------------------------------------------------------
 
-LEVELS = 5
-"""Minimum number of rings of a curved wall; each band between rings becomes convex parts."""
+SLIM = 0.012
+"""Maximum radius of a rod that protrudes from the body for it to be part of a handle [m]."""
 
-FLAT, LOW, WIDE = 0.4, 0.8, 1.4
-"""Upper limits of the ratio of height to rim radius for dishes, bowls and pots; above the last, a vessel is a cup."""
+TOUCH = 0.003
+"""Maximum distance between the bounding boxes of parts of one handle [m]."""
 
-THINNEST = 0.0015
-"""Minimum wall thickness [m]."""
-
-KEPT_WALL = 0.6
-"""Minimum share of its thickness that a wall keeps when curved: a third less still looks like the same ware."""
-
-FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Shares of a curve's deviation from a straight line that are tried in order, the full curve first."""
+MANY = 5
+"""Minimum number of equal balls that form a bunch."""
 
 
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """A profile as two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
-    and ``inner`` from the rim down to the axis, shape (m, 2), which for a solid body is its flat or domed top.
+class Kind(StrEnum):
+    """The purpose of a component."""
+
+    VESSEL = "vessel"  # solid of revolution with a cavity
+    TURNED = "turned"  # solid of revolution without a cavity
+    CRATE = "crate"  # a floor with walls made of boards
+    STACK = "stack"  # disks stacked on each other
+    BUNCH = "bunch"  # many equal balls
+    BODY = "body"  # any other body
+    LID = "lid"
+    DRAWER = "drawer"
+    HANDLE = "handle"
+    KNOB = "knob"
+    DIVIDER = "divider"
+    BAND = "band"
+    STEM = "stem"
+    CAP = "cap"
+    BASE = "base"
+    PLATE = "plate"  # a surface to put objects on, such as the burners of a stove
+
+
+MAIN = (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)
+"""Kinds that a body can have."""
+
+WORDS = {
+    Kind.HANDLE: ("handle", "grip", "post", "bail", "lug", "tab"),
+    Kind.KNOB: ("knob", "dial"),
+    Kind.DIVIDER: ("divider", "partition"),
+    Kind.BAND: ("label", "ring", "band", "stripe"),
+    Kind.STEM: ("stem", "stalk", "tip", "leaf"),
+    Kind.CAP: ("cap", "stopper"),
+    Kind.BASE: ("foot", "feet", "base"),
+    Kind.PLATE: ("burner", "hob"),
+}
+"""Words in part names that identify a kind."""
+
+BOARDS = {"floor", "bottom", "front", "back", "left", "right", "side", "wall"}
+
+
+@dataclass(frozen=True)
+class Component:
+    """A component and its parts, all of which belong to one link."""
+
+    name: str
+    kind: Kind
+    parts: tuple[Key, ...]
+
+    @property
+    def link(self) -> str:
+        """Link to which the parts belong."""
+        return self.parts[0][0]
+
+
+def parts_in(spec: AssetSpec, component: Component) -> list[PartSpec]:
+    """Return the parts of a component."""
+    return [spec.links[link].parts[name] for link, name in component.parts]
+
+
+def lathe_of(spec: AssetSpec, component: Component) -> tuple[Key, Profile] | None:
+    """Key and profile of the component's solid of revolution, the highest if there are several."""
+    lathes = [
+        (key, Profile.of(part.shape))
+        for key, part in zip(component.parts, parts_in(spec, component), strict=True)
+        if isinstance(part.shape, LatheShape)
+    ]
+    return max(lathes, key=lambda pair: (pair[1].height, pair[0]), default=None)
+
+
+def outward(spec: AssetSpec, component: Component) -> Array | None:
+    """Signed axis along which a component protrudes from the rest of its link, shape (3,)."""
+    body = [p for n, p in spec.links[component.link].parts.items() if (component.link, n) not in component.parts]
+    if not body:
+        return None
+    low, high = bounds(body)
+    own_low, own_high = bounds(parts_in(spec, component))
+    over = np.concatenate([own_high - high, low - own_low])
+    k = int(over.argmax())
+    if over[k] <= 0:
+        return None
+    axis = np.zeros(3)
+    axis[k % 3] = 1.0 if k < 3 else -1.0
+    return axis
+
+
+def components(spec: AssetSpec) -> tuple[Component, ...]:
+    """Find the components of an asset: for each link its body, followed by the attached components.
+
+    Names are unique: ``body``, ``drawer``, ``drawer_handle``, ``handle_2``.
     """
+    found: list[Component] = []
+    taken: dict[str, int] = {}
 
-    outer: Array
-    inner: Array
+    def add(name: str, kind: Kind, keys: list[Key]) -> None:
+        taken[name] = taken.get(name, 0) + 1
+        found.append(Component(name if taken[name] == 1 else f"{name}_{taken[name]}", kind, tuple(keys)))
 
-    @classmethod
-    def of(cls, shape: LatheShape) -> Profile:
-        """Split the profile of a shape into its chains."""
-        rings = np.array(shape.lathe.profile)
-        if rings[0, 1] > rings[-1, 1]:
-            rings = rings[::-1]
-        rim = int(np.flatnonzero(rings[:, 1] >= rings[:, 1].max() - 1e-9)[0])
-        return cls(rings[: rim + 1], rings[rim + 1 :])
-
-    @property
-    def shape(self) -> LatheShape:
-        """Return the profile as a shape of the spec."""
-        rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
-        kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
-        return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
-
-    @property
-    def foot(self) -> float:
-        """Lowest height [m]."""
-        return float(self.outer[:, 1].min())
-
-    @property
-    def rim(self) -> float:
-        """Greatest height [m]."""
-        return float(self.outer[-1, 1])
-
-    @property
-    def height(self) -> float:
-        """Height from foot to rim [m]."""
-        return self.rim - self.foot
-
-    @property
-    def depth(self) -> float:
-        """Depth from the rim down to the floor on the axis [m]; about 0 for a solid body."""
-        return self.rim - float(self.inner[-1, 1]) if len(self.inner) else 0.0
-
-    @property
-    def is_hollow(self) -> bool:
-        """Return whether the body has a cavity."""
-        return self.depth > HOLLOW * self.height and len(self.inner) >= 3
-
-    @property
-    def wall(self) -> float:
-        """Wall thickness at the rim [m]; 0 for a solid body."""
-        return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
-
-    @property
-    def thinnest(self) -> float:
-        """Minimum distance from a corner of the inside to the outside [m]; a plate's is not at its rim."""
-        a, b = self.outer[:-1], self.outer[1:]
-        way = b - a
-        points = self.inner[:, None, :] - a
-        along = np.einsum("ijk,jk->ij", points, way) / np.einsum("jk,jk->j", way, way)
-        apart = points - np.clip(along, 0.0, 1.0)[..., None] * way
-        return float(np.linalg.norm(apart, axis=2).min())
-
-    def radius(self, height: Array | float) -> Array:
-        """Outer radius [m] at the given heights [m]."""
-        rings = self.outer[1:] if len(self.outer) > 1 else self.outer
-        order = np.argsort(rings[:, 1], kind="stable")
-        return np.asarray(np.interp(height, rings[order, 1], rings[order, 0]))
-
-    def share(self, height: Array) -> Array:
-        """Convert heights [m] to shares of the total height, 0 at the foot."""
-        return np.asarray((height - self.foot) / self.height)
+    root = next(iter(spec.links))
+    every = parts_of(spec)
+    for link in spec.links:
+        own = {key: part for key, part in every.items() if key[0] == link}
+        kinds = {key: _attached(key, part, own) for key, part in own.items()}
+        main = [key for key, kind in kinds.items() if kind is None]
+        if main:
+            moving = _moving(spec, link)
+            add("body" if link == root else link, moving or _main_kind([own[k] for k in main], main), main)
+        prefix = "" if link == root else f"{link}_"
+        for kind in WORDS:
+            for group in _groups(own, [key for key, its in kinds.items() if its is kind], kind):
+                add(f"{prefix}{kind.value}", kind, group)
+    return tuple(found)
 
 
-def finer(profile: Profile, levels: int = LEVELS) -> Profile:
-    """Add rings to long walls of the body so that they can bend."""
-    gap = profile.height / levels
-    return Profile(_finer(profile.outer, gap), _finer(profile.inner, gap) if profile.is_hollow else profile.inner)
+def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
+    """Kind of a part that is attached to the body, or None if it belongs to the body."""
+    words = set(re.split(r"[_\d]+", key[1])) - {""}
+    if len(own) == 1:
+        return None
+    # `stem_side` denotes a side, not a stem.
+    named = next((k for k, names in WORDS.items() if (words <= {*names} if k is Kind.STEM else words & {*names})), None)
+    if named is not None:
+        return named
+    body = [other for other in own.values() if not _is_slim(other)]
+    if not body or not _is_slim(part):
+        return None
+    low, high = bounds(body)
+    off = np.hypot(*(at(part) - (low + high) / 2)[:2])
+    return Kind.HANDLE if off > 0.4 * float((high - low)[:2].max()) else None
 
 
-def _finer(chain: Array, gap: float) -> Array:
-    out = [chain[0]]
-    for a, b in pairwise(chain):
-        steps = max(1, round(abs(b[1] - a[1]) / gap))
-        out += [a + (b - a) * (k / steps) for k in range(1, steps + 1)]
-    return np.array(out)
+def _is_slim(part: PartSpec) -> bool:
+    size = rod(part)
+    return size is not None and size[0] <= SLIM
 
 
-def swelled(profile: Profile, grow: Array, levels: int = LEVELS) -> Profile:
-    """Scale the body's outer radius by a smooth curve; the inside moves with the outside.
-
-    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), interpolated linearly. On a wall that
-    leans far out, such as a plate's, a curve is a steep step that would thin the wall: there the curve is flattened
-    between its ends until the wall keeps :data:`KEPT_WALL` of its thickness.
-    """
-    straight = np.linspace(grow[0], grow[-1], len(grow))
-    made = profile
-    for share in FLATTER if len(grow) > 2 else (1.0,):
-        made = _swelled(profile, straight + share * (grow - straight), levels)
-        if not profile.is_hollow or made.thinnest >= KEPT_WALL * profile.thinnest:
-            break
-    return made
+def _moving(spec: AssetSpec, link: str) -> Kind | None:
+    """Kind of a link according to the joint that moves it."""
+    joint = next((j for j in spec.joints.values() if j.child == link), None)
+    if joint is None:
+        return None
+    return Kind.DRAWER if joint.type == "prismatic" else Kind.LID
 
 
-def _swelled(profile: Profile, grow: Array, levels: int) -> Profile:
-    fine = finer(profile, levels) if len(grow) > 2 else profile
-    steps = np.linspace(0.0, 1.0, len(grow))
-    # The whole section, including the edge that joins its chains, gets a ring wherever a chain or the curve bends. All
-    # points at one height then move by the same distance, inside and outside, so edges that did not cross before cannot
-    # cross afterwards.
-    bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
-    inner = np.concatenate([fine.outer[-1:], fine.inner])
-    outer = fine.outer
-    for height in sorted(bends):
-        outer, inner = _ring_at(outer, height), _ring_at(inner, height)
-    fine = Profile(outer, inner[1:])
-
-    def delta(heights: Array) -> Array:
-        return fine.radius(heights) * (np.interp(fine.share(heights), steps, grow) - 1.0)
-
-    return _shifted(fine, delta(fine.outer[:, 1]), delta(fine.inner[:, 1]))
+def _main_kind(parts: list[PartSpec], keys: list[Key]) -> Kind:
+    lathes = [Profile.of(p.shape) for p in parts if isinstance(p.shape, LatheShape)]
+    if len(lathes) == 1 and lathes[0].is_hollow:
+        return Kind.VESSEL
+    if len(parts) == 1 and lathes:
+        return Kind.TURNED
+    balls = [p for p in parts if isinstance(p.shape, SphereShape)]
+    if len(balls) >= MANY and len(balls) == len(parts):
+        return Kind.BUNCH
+    boards = [k for k, p in zip(keys, parts, strict=True) if isinstance(p.shape, BoxShape)]
+    if len(boards) == len(parts) >= 4 and len({w for k in boards for w in k[1].split("_")} & BOARDS) >= 3:
+        return Kind.CRATE
+    coaxial = all(np.hypot(*at(p)[:2]) < 1e-3 and abs(axis_of(p)[2]) > 0.999 for p in parts)
+    return Kind.STACK if len(parts) >= 3 and coaxial else Kind.BODY
 
 
-def flared(profile: Profile, out: float, band: float) -> Profile:
-    """Bend the rim outward by ``out`` [m] over the topmost ``band`` [m]."""
-    at = profile.rim - band
-
-    def delta(heights: Array) -> Array:
-        return out * np.clip((heights - at) / band, 0.0, 1.0) ** 2
-
-    outer, inner = _ring_at(profile.outer, at), _ring_at(profile.inner, at)
-    made = Profile(outer, inner)
-    return _shifted(made, delta(outer[:, 1]), delta(inner[:, 1]))
-
-
-def thickened(profile: Profile, more: float) -> Profile:
-    """Thicken the wall and the floor inward by ``more`` [m], or thin them; a wall keeps :data:`THINNEST`."""
-    more = max(more, THINNEST - profile.wall)
-    inner = profile.inner.copy()
-    on_wall = inner[:, 0] > 0
-    inner[on_wall, 0] = np.maximum(inner[on_wall, 0] - more, 1e-4)
-    floor = inner[:, 1] < profile.rim - 1e-9
-    inner[floor, 1] = np.minimum(inner[floor, 1] + more, profile.rim - THINNEST)
-    return Profile(profile.outer, inner)
+def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
+    """Group the keys of touching parts; only handles consist of several parts."""
+    if kind is not Kind.HANDLE:
+        return [[key] for key in keys]
+    boxes = {key: bounds([own[key]]) for key in keys}
+    groups: list[list[Key]] = []
+    for key in keys:
+        low, high = boxes[key]
+        near = [g for g in groups if any(_meet(low, high, *boxes[k]) for k in g)]
+        joined = [k for g in near for k in g] + [key]
+        groups = [g for g in groups if g not in near] + [joined]
+    return groups
 
 
-def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
-    """Raise the body by ``up`` [m] onto a narrower ring foot, ``inset`` [m] inside its old foot."""
-    base = float(profile.outer[1, 0])
-    radius = base - inset
-    lift = np.array([0.0, up])
-    foot = np.array([[0.0, profile.foot], [radius, profile.foot], [radius, profile.foot + up]])
-    return Profile(np.concatenate([foot, profile.outer[1:] + lift]), profile.inner + lift)
-
-
-def _shifted(profile: Profile, outer: Array, inner: Array) -> Profile:
-    """Shift radii by the given amounts [m]; points on the axis stay there."""
-
-    def chain(points: Array, by: Array) -> Array:
-        moved = points.copy()
-        off = points[:, 0] > 0
-        moved[off, 0] = np.maximum(points[off, 0] + by[off], 5e-4)
-        return moved
-
-    return Profile(chain(profile.outer, outer), chain(profile.inner, inner))
-
-
-def _ring_at(chain: Array, height: float) -> Array:
-    """Return the chain with a ring inserted where it passes through a height [m]."""
-    out = [chain[0]]
-    for a, b in pairwise(chain):
-        if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
-            out.append(a + (b - a) * ((height - a[1]) / (b[1] - a[1])))
-        out.append(b)
-    return np.array(out)
+def _meet(low: Array, high: Array, other_low: Array, other_high: Array) -> bool:
+    return bool((low <= other_high + TOUCH).all() and (other_low <= high + TOUCH).all())

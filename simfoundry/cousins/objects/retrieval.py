@@ -9,21 +9,20 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.objects.appearance import same_kind
 from simfoundry.cousins.objects.geometry import stretched
-from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, item_of_mesh, lay, lowered
+from simfoundry.cousins.objects.item import ObjectAsset, alone, item_of_asset, item_of_mesh, lowered
 from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array
-from simfoundry.geometry.shapes import Mesh
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Mesh, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError
@@ -187,7 +186,8 @@ class VariantEntry:
 
 
 class VariantLibrary:
-    """The assets of a folder: documents, and mesh files, whose category is the name of their folder.
+    """The assets of a folder (documents, and mesh files, whose category is the name of their folder) as a source of
+    candidates, in order of similarity to the twin.
 
     ``left_out`` are the unusable files, each with the reason. Raises :class:`SimfoundryError` if the folder does not
     exist.
@@ -196,21 +196,18 @@ class VariantLibrary:
     def __init__(self, folder: Path, cache: Cache | None = None, scale: float = 1.0) -> None:
         if not folder.is_dir():
             raise SimfoundryError(f"the library {folder} is not a folder")
-        self.folder = folder
         self.left_out: dict[str, str] = {}
         self.entries: list[VariantEntry] = []
+        self._ranked: dict[str, list[tuple[float, float, VariantEntry]]] = {}
         for path in sorted(folder.rglob("*")):
             if path.name.endswith(".asset.yaml") or path.suffix.lower() in MESH_SUFFIXES:
-                self._add(path, cache, scale)
-
-    def _add(self, path: Path, cache: Cache | None, scale: float) -> None:
-        try:
-            item = _read(path, self.folder, scale)
-            thing = lowered(item.spec, path.parent, item.name, cache)
-        except SpecError as error:
-            self.left_out[path.relative_to(self.folder).as_posix()] = error.diagnostics[0].message
-            return
-        self.entries.append(VariantEntry(item, likeness(thing)))
+                try:
+                    item = _read(path, folder, scale)
+                    found = lowered(item.spec, path.parent, item.name, cache)
+                except SpecError as error:
+                    self.left_out[path.relative_to(folder).as_posix()] = error.diagnostics[0].message
+                else:
+                    self.entries.append(VariantEntry(item, likeness(found)))
 
     def ranked(self, item: ObjectAsset, like: Likeness) -> list[tuple[float, float, VariantEntry]]:
         """Return the entries from most to least similar: distance, scale factor to the twin's size, and the entry.
@@ -218,7 +215,7 @@ class VariantLibrary:
         The twin itself, identified by its document, is excluded.
         """
         found = []
-        for k, entry in enumerate(self.entries):
+        for entry in self.entries:
             if entry.item.spec.links == item.spec.links:
                 continue
             factor = float(np.exp(np.mean(np.log(like.size / entry.likeness.size))))
@@ -226,21 +223,13 @@ class VariantLibrary:
             sides = np.abs(np.log(entry.likeness.size * factor / like.size)).max() / np.log(1.06)
             shape = np.abs(entry.likeness.shape - like.shape).sum() / 2 / 0.06
             away = float(sides + shape) + (0.0 if same_kind(entry.item.category, item.category) else STRANGER)
-            found.append((away, k, factor, entry))
-        return [(away, factor, entry) for away, _, factor, entry in sorted(found, key=lambda row: row[:2])]
-
-
-class Retrieval:
-    """A source of candidates: the entries of a library in order of similarity to the twin."""
-
-    def __init__(self, library: VariantLibrary) -> None:
-        self.library = library
-        self._ranked: dict[str, list[tuple[float, float, VariantEntry]]] = {}
+            found.append((away, factor, entry))
+        return sorted(found, key=itemgetter(0))
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Return candidate ``k``: the next entry each time it is this source's turn."""
         if item.name not in self._ranked:
-            self._ranked[item.name] = self.library.ranked(item, _likeness_of(item))
+            self._ranked[item.name] = self.ranked(item, likeness(alone(item)))
         ranked = self._ranked[item.name]
         place = k // len(axis.sources)
         if place >= len(ranked):
@@ -253,7 +242,8 @@ class Retrieval:
             return Reason("kind", text, {"distance": away})
         spec = stretched(entry.item.spec, np.full(3, factor))
         words = f"{entry.item.source} of the library, scaled by {factor:.2f}, at distance {away:.1f}"
-        return Draft(_flat(spec), (words,), kept=entry.item.files)
+        spec = spec.model_copy(update={"description": None, "origin": None})
+        return Draft(spec, (words,), kept=entry.item.files)
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -269,24 +259,12 @@ def _read(path: Path, folder: Path, scale: float) -> ObjectAsset:
             raise SpecError(loaded.errors or [loaded.finding("SF006", ("simfoundry",), "it is not an asset document")])
         return item_of_asset(loaded)
     inside = path.relative_to(folder).parts
-    name = _name(
-        inside[-2] if len(inside) > 1 and path.stem in ("mesh", "model", "textured", "textured_simple") else path.stem
-    )
-    category = _name(inside[0] if len(inside) > 1 else path.stem)
-    return item_of_mesh(path, name, category, USUAL, scale)
+    nameless = len(inside) > 1 and path.stem in ("mesh", "model", "textured", "textured_simple")
+    name, category = inside[-2] if nameless else path.stem, inside[0] if len(inside) > 1 else path.stem
+    return item_of_mesh(path, _name(name), _name(category), USUAL, scale)
 
 
 def _name(text: str) -> str:
     """Convert a file's name to an object name: ``025_mug`` becomes ``mug``."""
     kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in text.lower()).strip("_0123456789-")
     return kept or "thing"
-
-
-def _flat(spec: AssetSpec) -> AssetSpec:
-    return spec.model_copy(update={"description": None, "origin": None})
-
-
-def _likeness_of(item: ObjectAsset) -> Likeness:
-    with TemporaryDirectory(prefix="simfoundry-likeness-") as folder:
-        lay(item.files, Path(folder))
-        return likeness(lowered(item.spec, Path(folder), item.name))

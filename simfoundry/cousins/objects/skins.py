@@ -9,13 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.cousins.objects.appearance import Color, category_prior, color_of, priors, varied
-from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
-from simfoundry.cousins.objects.geometry import Rng
-from simfoundry.cousins.objects.meshes import FOLDER
-from simfoundry.cousins.objects.parts import FLAT, LOW, Key, Profile, parts_of, rod, with_parts
+from simfoundry.cousins.objects.meshes import mesh_files, strips
+from simfoundry.cousins.objects.parts import (
+    MAIN,
+    Component,
+    Kind,
+    components,
+    parts_in,
+    parts_of,
+    rod,
+    with_added,
+    with_parts,
+)
+from simfoundry.cousins.objects.profiles import FLAT, LOW, Profile, Rng
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
@@ -40,13 +48,14 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     unchanged and the text is empty.
     """
     found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
-    found = [c for c in found if not _is_chain([parts_of(spec)[key] for key in c.parts])]
+    found = [c for c in found if not _is_chain(parts_in(spec, c))]
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
     sort = category_prior(spec.category or spec.name)
     parts = parts_of(spec)
-    base = color_of(spec, component.parts[0]) or priors().white
+    own = color_of(spec, component.parts[0])
+    base = own or priors().white
     names = _patterns(spec, parts[component.parts[0]], component)
     name = names[int(rng.integers(len(names)))]
     second = _second(base, name, sort.colors if sort is not None else priors().paints, rng)
@@ -54,19 +63,20 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
         base, second = second, base
     image = _painted(PATTERNS[name], base, second, rng)
     files: dict[str, bytes] = {}
-    changed = dict(parts)
-    own = color_of(spec, component.parts[0])
+    looks: dict[str, PartSpec] = {}
     for k, key in enumerate(key for key in component.parts if color_of(spec, key) == own):
         part = parts[key]
         mesh = _meshed(part.shape, image, name in AROUND_AXIS) if part.use == "both" else None
         if mesh is None:
             continue
-        written = obj_with_material(mesh)
-        files |= {f"{FOLDER}/{file}": data for file, data in written.items()}
-        changed[key] = part.model_copy(update={"use": "collision", "color": None})
-        look = PartSpec(mesh=f"{FOLDER}/{next(iter(written))}", pose=part.pose, color=(1.0, 1.0, 1.0), use="visual")
-        changed[_free(changed, key[0], f"skin_{k}")] = look.model_copy(update={"material": part.material})
-    return (with_parts(spec, changed), files, f"{component.name} with {name}") if files else (spec, {}, "")
+        file, written = mesh_files(mesh)
+        files |= written
+        parts[key] = part.model_copy(update={"use": "collision", "color": None})
+        look = PartSpec(mesh=file, pose=part.pose, color=(1.0, 1.0, 1.0), use="visual")
+        looks[f"skin_{k}"] = look.model_copy(update={"material": part.material})
+    if not files:
+        return spec, {}, ""
+    return with_added(with_parts(spec, parts), component.link, looks), files, f"{component.name} with {name}"
 
 
 SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
@@ -167,15 +177,10 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     uv = np.stack(np.broadcast_arrays(angle / (2 * np.pi), np.concatenate([up, down])[:, None]), axis=2).copy()
     if slender < LOW and not around:
         uv[len(outer) :] = (np.stack([x, y], axis=2)[len(outer) :] / (2 * widest) + 0.5) * [1.0, PAINTED]
-    here = np.arange(AROUND)
-    faces = []
-    for k in range(len(rings) - 1):
-        low, high = k * (AROUND + 1) + here, (k + 1) * (AROUND + 1) + here
-        if rings[k, 0] > 1e-9:
-            faces.append(np.column_stack([low, low + 1, high + (rings[k + 1, 0] > 1e-9)]))
-        if rings[k + 1, 0] > 1e-9:
-            faces.append(np.column_stack([low, high + 1, high]))
-    every = np.concatenate([f for f in faces if len(f)]).astype(np.int32)
+    faces = strips(np.arange(len(rings) * (AROUND + 1)).reshape(len(rings), -1))
+    off_axis = rings[:, 0] > 1e-9
+    faces[~off_axis[1:], 0, :, 2] -= 1  # on the axis, the two triangles of a square become one
+    every = faces[np.column_stack([off_axis[:-1], off_axis[1:]])].reshape(-1, 3)
     return Mesh(frozen_array(vertices.reshape(-1, 3)), every, frozen_array(uv.reshape(-1, 2)), image)
 
 
@@ -225,13 +230,9 @@ def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
     walls = np.concatenate([np.column_stack([closed, np.full(n + 1, z)]) for z in levels])
     around = np.concatenate([np.column_stack([way / way[-1], np.full(n + 1, v)]) for v in (0.0, PAINTED)])
     ends = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in levels])
-    here = np.arange(n)
-    faces = [
-        np.column_stack([here, here + 1, here + n + 2]),
-        np.column_stack([here, here + n + 2, here + n + 1]),
-    ]
     fan = np.arange(1, n - 1)
     low, high = 2 * (n + 1), 2 * (n + 1) + n
+    faces = [strips(np.arange(low).reshape(2, -1)).reshape(-1, 3)]
     faces += [np.column_stack([np.full(n - 2, low), low + fan + 1, low + fan])]
     faces += [np.column_stack([np.full(n - 2, high), high + fan, high + fan + 1])]
     uv = np.concatenate([around, np.full((2 * n, 2), PLAIN)])
@@ -239,29 +240,7 @@ def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
     return Mesh(frozen_array(vertices), np.concatenate(faces).astype(np.int32), frozen_array(uv), image)
 
 
-def _free(parts: dict[Key, PartSpec], link: str, name: str) -> Key:
-    n, key = 1, (link, name)
-    while key in parts:
-        n, key = n + 1, (link, f"{name}_{n + 1}")
-    return key
-
-
 # -- patterns ---------------------------------------------------------------------------------------------------------
-
-
-def _bands(_: Field, v: Field, rng: Rng) -> Field:
-    """Level stripes."""
-    return _soft(np.sin(2 * np.pi * (rng.integers(2, 7) * v + rng.random())), rng.uniform(-0.4, 0.4))
-
-
-def _stripes(u: Field, _: Field, rng: Rng) -> Field:
-    """Upright stripes."""
-    return _soft(np.sin(2 * np.pi * int(rng.integers(6, 18)) * u), rng.uniform(-0.3, 0.6))
-
-
-def _spiral(u: Field, v: Field, rng: Rng) -> Field:
-    """Stripes that wind around the axis."""
-    return _soft(np.sin(2 * np.pi * (int(rng.integers(4, 10)) * u + rng.uniform(1, 4) * v)), rng.uniform(-0.3, 0.4))
 
 
 def _dots(u: Field, v: Field, rng: Rng) -> Field:
@@ -300,15 +279,6 @@ def _zigzag(u: Field, v: Field, rng: Rng) -> Field:
     return _soft(np.sin(2 * np.pi * (v - at + 0.28 * wave) * rng.integers(3, 6)), 0.1)
 
 
-def _speckles(u: Field, v: Field, rng: Rng) -> Field:
-    """Many small flecks, as on stoneware or ripe fruit."""
-    return _flecks(u, v, rng, int(rng.integers(120, 260)), 0.008)
-
-
-def _terrazzo(u: Field, v: Field, rng: Rng) -> Field:
-    return _flecks(u, v, rng, int(rng.integers(40, 80)), 0.028)
-
-
 def _streaks(u: Field, v: Field, rng: Rng) -> Field:
     """Fine vertical streaks that fade, as on an apple."""
     field = sum(np.cos(2 * np.pi * (int(k) * u + rng.random())) for k in rng.integers(5, 60, 9)) / 5
@@ -330,7 +300,7 @@ def _grain(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _planks(u: Field, v: Field, rng: Rng) -> Field:
-    """Return boards side by side."""
+    """Boards side by side."""
     n = int(rng.integers(3, 6))
     tone = rng.uniform(0.0, 0.55, n)[np.minimum((v * n).astype(int), n - 1)]
     lines = 0.12 * np.sin(2 * np.pi * 9 * (v + 0.05 * _wave(u, rng)))
@@ -343,11 +313,6 @@ def _print(u: Field, v: Field, rng: Rng) -> Field:
     label = (np.abs(u - x) < 0.16) & (np.abs(v - y) < 0.2)
     lines = (u > 0.72) & (u < 0.93) & ((v * 14) % 1 < 0.4) & (v > 0.25) & (v < 0.75)
     return np.asarray(label | lines, dtype=np.float64)
-
-
-def _tape(_: Field, v: Field, rng: Rng) -> Field:
-    """A strip of tape along the middle."""
-    return np.asarray(np.abs(v - rng.uniform(0.4, 0.6)) < 0.09, dtype=np.float64)
 
 
 def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
@@ -369,23 +334,28 @@ def _flecks(u: Field, v: Field, rng: Rng, count: int, size: float) -> Field:
 
 
 PATTERNS: dict[str, Pattern] = {
-    "bands": _bands,
-    "stripes": _stripes,
-    "a spiral": _spiral,
+    "bands": lambda _, v, r: _soft(np.sin(2 * np.pi * (r.integers(2, 7) * v + r.random())), r.uniform(-0.4, 0.4)),
+    "stripes": lambda u, _, r: _soft(np.sin(2 * np.pi * int(r.integers(6, 18)) * u), r.uniform(-0.3, 0.6)),
+    # Stripes that wind around the axis.
+    "a spiral": lambda u, v, r: _soft(
+        np.sin(2 * np.pi * (int(r.integers(4, 10)) * u + r.uniform(1, 4) * v)), r.uniform(-0.3, 0.4)
+    ),
     "dots": _dots,
     "checks": _checks,
     "a painted rim": _rim,
     "a dipped foot": _dipped,
     "drips of glaze": _drips,
     "zigzags": _zigzag,
-    "speckles": _speckles,
-    "terrazzo": _terrazzo,
+    # Many small flecks, as on stoneware or ripe fruit.
+    "speckles": lambda u, v, r: _flecks(u, v, r, int(r.integers(120, 260)), 0.008),
+    "terrazzo": lambda u, v, r: _flecks(u, v, r, int(r.integers(40, 80)), 0.028),
     "streaks": _streaks,
     "a gradient": _gradient,
     "wood grain": _grain,
     "planks": _planks,
     "print": _print,
-    "tape": _tape,
+    # A strip along the middle.
+    "tape": lambda _, v, r: np.asarray(np.abs(v - r.uniform(0.4, 0.6)) < 0.09, dtype=np.float64),
 }
 
 DECORATION = (

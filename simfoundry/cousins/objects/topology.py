@@ -3,34 +3,37 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 
-from simfoundry.cousins.objects.components import Component, Kind, components
-from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of, outward, with_profile
+from simfoundry.cousins.objects.geometry import Edit, with_profile
 from simfoundry.cousins.objects.parts import (
-    Key,
-    Profile,
+    UP,
+    Component,
+    Kind,
     aimed,
     at,
     bounds,
+    capsule,
+    components,
+    cylinder,
+    each,
+    lathe_of,
     moved,
+    outward,
+    parts_in,
     parts_of,
-    raised_foot,
     rod,
+    with_added,
     with_parts,
 )
+from simfoundry.cousins.objects.profiles import Profile, Rng, raised_foot
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
-from simfoundry.spec.models.base import (
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
-    PoseSpec,
-    Round,
-    SphereShape,
-)
+from simfoundry.spec.models.base import BoxShape, PoseSpec, SphereShape
+
+FORWARD = np.array([1.0, 0.0, 0.0])
 
 SHALLOW = 0.6
 """Minimum ratio of height to width for a loop handle: bowls and plates have lugs or a foot."""
@@ -38,8 +41,7 @@ SHALLOW = 0.6
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """Remove a divider, band or stem. A handle stays: a mug without one is a cup."""
-    parts = {key: part for key, part in parts_of(spec).items() if key not in component.parts}
-    return with_parts(spec, parts), f"without its {component.name}"
+    return with_added(spec, component.link, {}, component.parts), f"without its {component.name}"
 
 
 def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
@@ -48,95 +50,85 @@ def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     handles = [c for c in components(spec) if c.kind is Kind.HANDLE and c.link == component.link]
     if body is None or len(handles) > 1:
         return None
-    parts = parts_of(spec)
     added = {}
-    for key in component.parts:
-        part = parts[key]
-        p = at(part) * np.array([-1.0, -1.0, 1.0])
-        yaw = _yaw(part) + 180.0
-        turned = part.pose.model_copy(update={"rpy_deg": _turned(part, yaw), "yaw_deg": None})
-        added[_free(parts, key[0], f"{key[1]}_other")] = moved(part.model_copy(update={"pose": turned}), p)
-    return with_parts(spec, parts | added), f"a second {component.name}"
+    for (_, name), part in zip(component.parts, parts_in(spec, component), strict=True):
+        roll, pitch, yaw = part.pose.rpy_deg or (0.0, 0.0, part.pose.yaw_deg or 0.0)
+        turned = part.pose.model_copy(update={"rpy_deg": (roll, pitch, yaw + 180.0), "yaw_deg": None})
+        opposite = at(part) * np.array([-1.0, -1.0, 1.0])
+        added[f"{name}_other"] = moved(part.model_copy(update={"pose": turned}), opposite)
+    return with_added(spec, component.link, added), f"a second {component.name}"
 
 
 def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a mug's loop handle to a vessel that has none."""
-    key, profile = _vessel(spec, component)
-    if key is None or profile is None or profile.height < SHALLOW * 2 * float(profile.outer[:, 0].max()):
+    vessel = _vessel(spec, component)
+    if vessel is None or _is_shallow(vessel[0]):
         return None
+    profile, base = vessel
     high, low = (profile.foot + profile.height * share for share in (rng.uniform(0.74, 0.84), rng.uniform(0.22, 0.34)))
     reach, thick = rng.uniform(0.022, 0.032), rng.uniform(0.0035, 0.0055)
     walls = [float(profile.radius(z)) for z in (low, high)]
     far = max(walls) + reach
-    parts = parts_of(spec)
-    base = at(parts[key])[2]
-    added: dict[Key, PartSpec] = {}
+    added = {}
     for name, z, wall in (("lower", low, walls[0]), ("upper", high, walls[1])):
         start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends inside the wall
-        pose = aimed(np.array([(start + far) / 2, 0.0, z + base]), np.array([1.0, 0.0, 0.0]))
-        added[_free(parts, key[0], f"handle_{name}")] = PartSpec(shape=_capsule(thick, far - start), pose=pose)
-    grip = PartSpec(shape=_capsule(thick, high - low), pose=aimed(np.array([far, 0.0, (low + high) / 2 + base]), UP))
-    added[_free(parts, key[0], "handle_grip")] = grip
-    return with_parts(spec, parts | added), f"a loop handle that reaches {far - max(walls):.3f} m out"
+        pose = aimed(np.array([(start + far) / 2, 0.0, z + base[2]]), FORWARD)
+        added[f"handle_{name}"] = PartSpec(shape=capsule(thick, far - start), pose=pose)
+    middle = np.array([far, 0.0, (low + high) / 2 + base[2]])
+    added["handle_grip"] = PartSpec(shape=capsule(thick, high - low), pose=aimed(middle, UP))
+    return with_added(spec, component.link, added), f"a loop handle that reaches {far - max(walls):.3f} m out"
 
 
 def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add two short lugs below the rim of a shallow vessel."""
-    key, profile = _vessel(spec, component)
-    if key is None or profile is None or profile.height > SHALLOW * 2 * float(profile.outer[:, 0].max()):
+    vessel = _vessel(spec, component)
+    if vessel is None or not _is_shallow(vessel[0]) or vessel[0].height < 0.03:  # a plate has no space below its rim
         return None
-    if profile.height < 0.03:  # too little space below the rim of a plate
-        return None
+    profile, base = vessel
     thick, long = rng.uniform(0.004, 0.006), rng.uniform(0.024, 0.036)
     z = profile.rim - rng.uniform(1.2, 1.8) * thick
     off = float(profile.radius(z)) + 0.5 * thick
-    parts = parts_of(spec)
-    added: dict[Key, PartSpec] = {}
+    added = {}
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        spot = np.array([0.0, sign * off, z]) + at(parts[key])
-        pose = aimed(spot, np.array([1.0, 0.0, 0.0]))
-        added[_free(parts, key[0], f"lug_{side}")] = PartSpec(shape=_capsule(thick, long), pose=pose)
-    return with_parts(spec, parts | added), f"two lugs of {long * 1000:.0f} mm"
+        pose = aimed(np.array([0.0, sign * off, z]) + base, FORWARD)
+        added[f"lug_{side}"] = PartSpec(shape=capsule(thick, long), pose=pose)
+    return with_added(spec, component.link, added), f"two lugs of {long * 1000:.0f} mm"
 
 
 def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a ring foot under a vessel."""
-    key, profile = _vessel(spec, component)
-    if key is None or profile is None or len(spec.links) > 1:
+    lathe = lathe_of(spec, component) if _vessel(spec, component) is not None else None
+    if lathe is None:
         return None
+    key, profile = lathe
     up, inset = rng.uniform(0.003, 0.008), rng.uniform(0.04, 0.2) * float(profile.outer[1, 0])
     return with_profile(spec, key, profile, raised_foot(profile, up, inset)), f"a foot of {up * 1000:.0f} mm"
 
 
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Replace the bar handle of a drawer by one or two round knobs."""
-    parts = parts_of(spec)
-    body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
-    out = outward(body, [parts[k] for k in component.parts])
+    out = outward(spec, component)
     drawers = {joint.child for joint in spec.joints.values() if joint.type == "prismatic"}
     if out is None or component.link not in drawers or abs(out[2]) > 0.5:
         return None
-    low, high = bounds([parts[k] for k in component.parts])
-    wide = high - low
+    old = parts_in(spec, component)
+    low, high = bounds(old)
+    wide, middle = high - low, (low + high) / 2
     along = np.array([abs(out[1]), abs(out[0]), 0.0])
-    k = int(np.abs(out).argmax())
-    length = float(wide[k])
+    length = float(wide[int(np.abs(out).argmax())])
     count = int(rng.integers(1, 3))
     radius = float(np.clip(rng.uniform(0.011, 0.016), 0.0, wide[2]))
     spread = 0.0 if count == 1 else 0.35 * float(wide @ along)
-    middle = (low + high) / 2
-    kept = {key: part for key, part in parts.items() if key not in component.parts}
-    material = parts[component.parts[0]].material
-    added: dict[Key, PartSpec] = {}
+    added = {}
     for n, sign in enumerate((0.0,) if count == 1 else (-1.0, 1.0)):
         spot = middle + sign * spread * along
-        neck = PartSpec(shape=_cylinder(0.45 * radius, length), pose=aimed(spot, out), material=material)
         head = spot + out * (length / 2 - 0.3 * radius)
-        added[_free(kept, component.link, f"knob_neck_{n}")] = neck
-        added[_free(kept, component.link, f"knob_{n}")] = PartSpec(
-            shape=_cylinder(radius, 0.8 * radius), pose=aimed(head, out), material=material
-        )
-    return with_parts(spec, kept | added), f"{count} knob{'s' * (count > 1)} in place of its {component.name}"
+        shapes = {f"knob_neck_{n}": (cylinder(0.45 * radius, length), spot)}
+        shapes[f"knob_{n}"] = (cylinder(radius, 0.8 * radius), head)
+        for name, (shape, where) in shapes.items():
+            added[name] = PartSpec(shape=shape, pose=aimed(where, out), material=old[0].material)
+    words = f"{count} knob{'s' * (count > 1)} in place of its {component.name}"
+    return with_added(spec, component.link, added, component.parts), words
 
 
 def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
@@ -144,51 +136,47 @@ def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | Non
     peers = [c for c in components(spec) if c.kind is Kind.KNOB and c.link == component.link]
     if len(peers) != 2:
         return None
-    parts = parts_of(spec)
-    a, b = (parts[c.parts[0]] for c in peers)
+    a, b = (parts_in(spec, c)[0] for c in peers)
     if float(np.linalg.norm(at(a) - at(b))) < 4 * (rod(a) or (0.02,))[0]:
         return None
-    added = {_free(parts, component.link, "knob_middle"): moved(a, (at(a) + at(b)) / 2)}
-    return with_parts(spec, parts | added), "a third knob"
+    return with_added(spec, component.link, {"knob_middle": moved(a, (at(a) + at(b)) / 2)}), "a third knob"
 
 
 def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a knob on top of a lid."""
-    parts = parts_of(spec)
-    if any(key[1].startswith("top_knob") for key in parts):
+    if any(name.startswith("top_knob") for _, name in parts_of(spec)):
         return None
-    low, high = bounds([parts[k] for k in component.parts])
+    low, high = bounds(parts_in(spec, component))
     radius, height = rng.uniform(0.01, 0.016), rng.uniform(0.014, 0.022)
-    key = lathe_of(spec, component)
-    spot = np.array([*(at(parts[key])[:2] if key else (low + high)[:2] / 2), high[2] + height / 2 - 0.001])
-    added = {_free(parts, component.link, "top_knob"): PartSpec(shape=_cylinder(radius, height), pose=aimed(spot, UP))}
-    return with_parts(spec, parts | added), "a knob on the lid"
+    lathe = lathe_of(spec, component)
+    middle = at(parts_of(spec)[lathe[0]]) if lathe is not None else (low + high) / 2
+    spot = np.array([*middle[:2], high[2] + height / 2 - 0.001])
+    knob = PartSpec(shape=cylinder(radius, height), pose=aimed(spot, UP))
+    return with_added(spec, component.link, {"top_knob": knob}), "a knob on the lid"
 
 
 def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a divider beside the existing one."""
-    parts = parts_of(spec)
-    part = parts[component.parts[0]]
+    part = parts_in(spec, component)[0]
     if not isinstance(part.shape, BoxShape) or part.pose.rpy_deg or part.pose.yaw_deg:
         return None
-    low, high = bounds([p for key, p in parts.items() if key[0] == component.link])
+    low, high = bounds(spec.links[component.link].parts.values())
     across = int(np.argmin(part.shape.box))
     if across == 2:
         return None
     spot = at(part)
     room = (low[across] - spot[across], high[across] - spot[across])
     spot[across] += rng.uniform(0.4, 0.6) * max(room, key=abs)
-    added = {_free(parts, component.link, "divider_more"): moved(part, spot)}
-    return with_parts(spec, parts | added), "an additional divider"
+    return with_added(spec, component.link, {"divider_more": moved(part, spot)}), "an additional divider"
 
 
 def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a low board across an open box."""
     if any(c.kind is Kind.DIVIDER or c.kind is Kind.DRAWER for c in components(spec)):
         return None
-    parts = parts_of(spec)
-    low, high = bounds([parts[k] for k in component.parts])
-    thick = min(min(_box(parts[k])) for k in component.parts)
+    boards = parts_in(spec, component)
+    low, high = bounds(boards)
+    thick = min(min(board.shape.box) for board in boards if isinstance(board.shape, BoxShape))
     size = high - low
     k = int(size[:2].argmax())
     box = size * np.array([1.0, 1.0, rng.uniform(0.3, 0.6)])
@@ -197,32 +185,33 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
     spot[k] += rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.3) * size[k]
     spot[2] = low[2] + 0.5 * thick + box[2] / 2
     x, y, z = (float(v) for v in box)
-    added = {_free(parts, component.link, "divider"): PartSpec(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))}
-    return with_parts(spec, parts | added), "a board across"
+    board = PartSpec(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))
+    return with_added(spec, component.link, {"divider": board}), "a board across"
 
 
 def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add four round feet and raise all other parts."""
     if any(c.kind is Kind.BASE for c in components(spec)):
         return None
-    parts = parts_of(spec)
-    low, high = bounds([parts[k] for k in component.parts])
+    low, high = bounds(parts_in(spec, component))
     size = high - low
     if min(size[:2]) < 0.08 or low[2] < -1e-6:
         return None
     up, radius = float(rng.uniform(0.006, 0.014)), 0.05 * float(min(size[:2])) + 0.003
-    lifted = {key: moved(part, at(part) + up * UP) if key[0] == component.link else part for key, part in parts.items()}
+    own = component.link
+    lifted = each(spec, lambda key, part: moved(part, at(part) + up * UP) if key[0] == own else part)
     inset = 1.4 * radius
-    for n, (x, y) in enumerate(
-        (x, y) for x in (low[0] + inset, high[0] - inset) for y in (low[1] + inset, high[1] - inset)
-    ):
-        pose = _upright(np.array([x, y, low[2] + up / 2]))
-        lifted[_free(lifted, component.link, f"foot_{n}")] = PartSpec(shape=_cylinder(radius, up), pose=pose)
+    corners = product((low[0] + inset, high[0] - inset), (low[1] + inset, high[1] - inset))
+    added = {
+        f"foot_{n}": PartSpec(shape=cylinder(radius, up), pose=_upright(np.array([x, y, low[2] + up / 2])))
+        for n, (x, y) in enumerate(corners)
+    }
     joints = {
-        name: joint.model_copy(update={"pose": _raised(joint.pose, up)}) if joint.parent == component.link else joint
+        name: joint.model_copy(update={"pose": _raised(joint.pose, up)}) if joint.parent == own else joint
         for name, joint in spec.joints.items()
     }
-    return with_parts(spec, lifted).model_copy(update={"joints": joints}), f"on four feet of {up * 1000:.0f} mm"
+    footed = with_added(lifted, own, added).model_copy(update={"joints": joints})
+    return footed, f"on four feet of {up * 1000:.0f} mm"
 
 
 def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -241,9 +230,10 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         if key == chosen and not more:
             continue
         changed[key] = moved(part, at(part) + (thick if more else -thick) * UP) if above else part
-    if more:
-        changed[_free(parts, chosen[0], f"{chosen[1]}_more")] = moved(parts[chosen], at(parts[chosen]) + thick * UP)
-    return with_parts(spec, changed), f"{'a second' if more else 'without'} {chosen[1]}"
+    added = {f"{chosen[1]}_more": moved(parts[chosen], at(parts[chosen]) + thick * UP)} if more else {}
+    return with_added(
+        with_parts(spec, changed), component.link, added
+    ), f"{'a second' if more else 'without'} {chosen[1]}"
 
 
 def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -253,47 +243,41 @@ def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     top = [k for k in order if at(parts[k])[2] > at(parts[order[0]])[2] + 1e-6]
     if rng.integers(0, 2) and len(top) > 2:
         gone = top[int(rng.integers(0, len(top)))]
-        return with_parts(spec, {k: p for k, p in parts.items() if k != gone}), "one berry removed"
+        return with_added(spec, component.link, {}, (gone,)), "one berry removed"
     chosen = parts[order[-1]]
     assert isinstance(chosen.shape, SphereShape)
     angle = rng.uniform(0.0, 2 * math.pi)
     step = chosen.shape.sphere * 1.3 * np.array([math.cos(angle), math.sin(angle), 0.5])
-    return with_parts(
-        spec, parts | {_free(parts, component.link, "berry"): moved(chosen, at(chosen) + step)}
-    ), "one berry added"
+    return with_added(spec, component.link, {"berry": moved(chosen, at(chosen) + step)}), "one berry added"
 
 
 def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a leaf at the stem of a round fruit."""
     if not any(c.kind is Kind.TURNED for c in components(spec)):
         return None
-    parts = parts_of(spec)
-    key = component.parts[0]
-    if any(k[1] == "leaf" for k in parts) or rod(parts[key]) is None:
+    stem = parts_in(spec, component)[0]
+    if any(name == "leaf" for _, name in parts_of(spec)) or rod(stem) is None:
         return None
-    spot = at(parts[key]) + np.array([0.009, 0.0, 0.003])
+    spot = at(stem) + np.array([0.009, 0.0, 0.003])
     size = (round(rng.uniform(0.014, 0.02), 4), round(rng.uniform(0.008, 0.011), 4), 0.001)
     pose = PoseSpec(xyz=tuple(float(v) for v in spot), yaw_deg=round(float(rng.uniform(-30, 30)), 1))  # type: ignore[arg-type]
     green = (0.3, 0.52, 0.18)
-    part = PartSpec(shape=BoxShape(box=size), pose=pose, color=green, material=parts[key].material)
-    return with_parts(spec, parts | {_free(parts, component.link, "leaf"): part}), "a leaf at its stem"
+    part = PartSpec(shape=BoxShape(box=size), pose=pose, color=green, material=stem.material)
+    return with_added(spec, component.link, {"leaf": part}), "a leaf at its stem"
 
 
 def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Add a clip along a cap that lies horizontally, as on a pen."""
-    parts = parts_of(spec)
-    key = component.parts[0]
-    low, high = bounds([parts[key]])
+    cap = parts_in(spec, component)[0]
+    low, high = bounds([cap])
     size = high - low
-    if size[0] < 2 * size[2] or any(k[1] == "clip" for k in parts):
+    if size[0] < 2 * size[2] or any(name == "clip" for _, name in parts_of(spec)):
         return None
     long = float(rng.uniform(0.55, 0.8) * size[0])
     spot = np.array([(low[0] + high[0]) / 2, 0.0, high[2] + 0.0008])
-    part = parts[key].model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": _upright(spot)})
-    return with_parts(spec, parts | {_free(parts, component.link, "clip"): part}), "a clip on its cap"
+    part = cap.model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": _upright(spot)})
+    return with_added(spec, component.link, {"clip": part}), "a clip on its cap"
 
-
-UP = np.array([0.0, 0.0, 1.0])
 
 TOPOLOGY = (
     (remove, (Kind.DIVIDER, Kind.BAND, Kind.STEM)),
@@ -315,35 +299,16 @@ TOPOLOGY = (
 """Edits and the kinds of components that they apply to."""
 
 
-def _vessel(spec: AssetSpec, component: Component) -> tuple[Key | None, Profile | None]:
-    """Lathe of a vessel that has no handle yet, and its profile."""
-    key = lathe_of(spec, component)
-    if key is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):
-        return None, None
-    shape = parts_of(spec)[key].shape
-    assert isinstance(shape, LatheShape)
-    return key, Profile.of(shape)
+def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | None:
+    """Profile of a vessel that has no handle yet, and its position in the link [m], shape (3,)."""
+    lathe = lathe_of(spec, component)
+    if lathe is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):
+        return None
+    return lathe[1], at(parts_of(spec)[lathe[0]])
 
 
-def _free(parts: dict[Key, PartSpec], link: str, name: str) -> Key:
-    """Return an unused name for a new part of a link."""
-    n, key = 1, (link, name)
-    while key in parts:
-        n, key = n + 1, (link, f"{name}_{n + 1}")
-    return key
-
-
-def _capsule(radius: float, height: float) -> CapsuleShape:
-    return CapsuleShape(capsule=Round(radius=float(radius), height=float(height)))
-
-
-def _cylinder(radius: float, height: float) -> CylinderShape:
-    return CylinderShape(cylinder=Round(radius=float(radius), height=float(height)))
-
-
-def _box(part: PartSpec) -> tuple[float, float, float]:
-    assert isinstance(part.shape, BoxShape)
-    return part.shape.box
+def _is_shallow(profile: Profile) -> bool:
+    return profile.height < SHALLOW * 2 * float(profile.outer[:, 0].max())
 
 
 def _upright(xyz: Array) -> PoseSpec:
@@ -354,12 +319,3 @@ def _upright(xyz: Array) -> PoseSpec:
 def _raised(pose: PoseSpec, up: float) -> PoseSpec:
     x, y, z = pose.xyz
     return pose.model_copy(update={"xyz": (x, y, z + up)})
-
-
-def _yaw(part: PartSpec) -> float:
-    return part.pose.rpy_deg[2] if part.pose.rpy_deg is not None else part.pose.yaw_deg or 0.0
-
-
-def _turned(part: PartSpec, yaw: float) -> tuple[float, float, float]:
-    roll, pitch = part.pose.rpy_deg[:2] if part.pose.rpy_deg is not None else (0.0, 0.0)
-    return roll, pitch, yaw

@@ -11,32 +11,29 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any, Protocol
-
-import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
-from simfoundry.assets.mesh import read_parts, weld
+from simfoundry.assets.mesh import merged, read_parts, weld
 from simfoundry.cousins.objects.appearance import priors
 from simfoundry.cousins.objects.checks import Needs, ObjectBaseline, faults
 from simfoundry.cousins.objects.geometry import is_ball
 from simfoundry.cousins.objects.item import ObjectAsset, lay, lowered
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
-from simfoundry.cousins.objects.retrieval import Likeness, LikenessDistance, likeness
+from simfoundry.cousins.objects.retrieval import Likeness, likeness
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
 from simfoundry.spec.check.checker import volume
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec
 from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_value
 from simfoundry.spec.models.cousins import ObjectVariants
 from simfoundry.spec.yaml.write import to_data, to_yaml
@@ -56,7 +53,6 @@ class Origins(Protocol):
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Return candidate ``k``, or the reason that there is none; a pure function of its arguments."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +157,19 @@ def variants(
                 refused.append(Refused(k, name, (), (made,)))
                 continue
             others = [first, *(v.likeness for v in accepted)]
-            distinct = partial(_distinct, others=others, form=form and name == "procedural")
-            result = _examined(item, twin, made, k, name, seed, folder, cache, distinct)
+            try:
+                found = _variant(item, made, k, name, seed, folder, cache)
+                result = _distinct(found, others, form and name == "procedural")
+            except SpecError as error:
+                result = Reason("document", f"{error.diagnostics[0].code} {error.diagnostics[0].message}")
+            except MeshError as error:
+                result = Reason("mesh", str(error))
+            if isinstance(result, Variant):  # the most expensive checks come last
+                result = next(faults(result.item, twin, item.category), result)
             if isinstance(result, Variant):
                 accepted.append(result)
             else:
-                refused.append(result)
+                refused.append(Refused(k, name, made.changed, (result,)))
             if progress is not None:
                 progress(len(accepted), k + 1)
     return Variants(tuple(accepted), tuple(refused), twin.lacks)
@@ -184,65 +187,37 @@ def write(variant: Variant, folder: Path) -> Path:
     return path
 
 
-def _examined(
-    item: ObjectAsset,
-    twin: ObjectBaseline,
-    made: Draft,
-    k: int,
-    source: str,
-    seed: int,
-    folder: Path,
-    cache: Cache | None,
-    distinct: Callable[[Variant], Variant | Refused],
-) -> Variant | Refused:
-    """Complete a draft (mass, name, lowering), test that it is ``distinct``, and check it, the most expensive checks
-    last.
-    """
+def _variant(
+    item: ObjectAsset, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
+) -> Variant:
+    """Complete a draft: its mass, name and lowered object. Raises :class:`SpecError` or :class:`MeshError`."""
     for name, data in made.files.items():
         write_atomically(folder / name, data)
     lay(made.kept, folder)
-    try:
-        used = {name: folder / name for name in (*made.files, *made.kept)}
-        volumes, before = _volumes(made.spec, used), _volumes(item.spec, item.files)
-        spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
-        thing = lowered(spec, folder, item.name, cache)
-    except SpecError as error:
-        first = error.diagnostics[0]
-        return Refused(k, source, made.changed, (Reason("document", f"{first.code} {first.message}"),))
-    except MeshError as error:
-        return Refused(k, source, made.changed, (Reason("mesh", str(error)),))
-    named = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
-    kept = {file: data for n, p in made.kept.items() if n in named for file, data in _whole(n, p).items()}
-    files = MappingProxyType({**made.files, **kept})
-    found = Variant(spec.name, k, source, spec, files, made.changed, thing, likeness(thing), 0.0)
-    result = distinct(found)
-    if isinstance(result, Variant):
-        reason = next(faults(thing, twin, item.category), None)
-        result = result if reason is None else Refused(k, source, made.changed, (reason,))
-    return result
+    used = {name: folder / name for name in (*made.files, *made.kept)}
+    volumes, before = _volumes(made.spec, used), _volumes(item.spec, item.files)
+    spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
+    thing = lowered(spec, folder, item.name, cache)
+    files = dict(made.files)
+    for name in made.kept.keys() & {part.mesh for part in parts_of(spec).values()}:
+        path = made.kept[name]
+        files |= {name: path.read_bytes()}
+        files |= {Path(name).with_name(o.name).as_posix(): o.read_bytes() for o in companions(path)}
+    return Variant(spec.name, k, source, spec, files, made.changed, thing, likeness(thing), 0.0)
 
 
-def _whole(name: str, path: Path) -> dict[str, bytes]:
-    """Read a mesh file under its name in the document, with the materials and textures that it names."""
-    beside = {Path(name).with_name(other.name).as_posix(): other.read_bytes() for other in companions(path)}
-    return {name: path.read_bytes(), **beside}
-
-
-def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Refused:
-    """Return the variant with its distance to the nearest of the others, or a refusal if it is too close.
+def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Reason:
+    """Return the variant with its distance to the nearest of the others, or the reason if it is too close.
 
     With ``form``, size or shape must differ, regardless of color.
     """
 
-    def away(apart: LikenessDistance) -> float:
-        return apart.form if form else apart.distance
-
+    away = attrgetter("form" if form else "distance")
     nearest = min((variant.likeness.apart(other) for other in others), key=away)
     if away(nearest) >= 1:
         return replace(variant, distance=nearest.distance)
     numbers = {"size": nearest.size, "shape": nearest.shape, "color": nearest.color}
-    reason = Reason("alike", f"it is too like another: {nearest}", numbers)
-    return Refused(variant.k, variant.source, variant.changed, (reason,))
+    return Reason("alike", f"it is too like another: {nearest}", numbers)
 
 
 def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
@@ -264,7 +239,9 @@ def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    return {p.mesh: mesh_volume(files[p.mesh]) for p in parts_of(spec).values() if p.mesh is not None}
+    """Volumes enclosed by the mesh files of an asset, in their own units, by name."""
+    names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
+    return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
 
 DOUBT = 0.15
@@ -303,15 +280,9 @@ def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: i
     total = 0.0
     for part in link.parts.values():
         if part.use != "visual":
-            total += _volume(part, volumes) * _density(part.material or link.material, spec.materials, side)
+            own = volume(part.shape) if part.shape is not None else volumes[part.mesh or ""] * part.scale**3
+            total += own * _density(part.material or link.material, spec.materials, side)
     return total
-
-
-def _volume(part: PartSpec, volumes: Mapping[str, float]) -> float:
-    if part.mesh is not None:
-        return volumes[part.mesh] * part.scale**3
-    assert part.shape is not None
-    return volume(part.shape)
 
 
 def _density(name: str | None, materials: Mapping[str, Material], side: int) -> float:
@@ -320,15 +291,6 @@ def _density(name: str | None, materials: Mapping[str, Material], side: int) -> 
         low, high = priors().materials[name].density
         return min(low, density) if side < 0 else max(high, density)
     return density * (1 + side * DOUBT)
-
-
-def mesh_volume(path: Path) -> float:
-    """Volume [m^3] enclosed by a mesh file, in its own units."""
-    parts = read_parts(path)
-    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
-    vertices = np.concatenate([p.vertices for p in parts])
-    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
-    return abs(mass.mesh(*weld(vertices, faces)).volume)
 
 
 def _short(value: float) -> float:

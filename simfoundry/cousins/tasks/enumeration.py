@@ -19,7 +19,7 @@ from simfoundry.cousins.tasks.acceptance import AcceptedTask, accept, superseded
 from simfoundry.cousins.tasks.candidate_poses import branches, goal_words
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.load import load
 from simfoundry.spec.models.base import Origin

@@ -9,12 +9,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.bddl.conditions import Condition, ConditionReader
-from simfoundry.frontends.bddl.problem import BddlGroup, BddlProblem, BddlRegion, read_problem
-from simfoundry.frontends.document_data import relative_path, rounded
-from simfoundry.frontends.draft import ImportOptions, ModelDraft
+from simfoundry.frontends.bddl.problem import (
+    BddlGroup,
+    BddlProblem,
+    BddlRegion,
+    Condition,
+    ConditionReader,
+    read_problem,
+)
+from simfoundry.frontends.documents import relative_path, rounded
+from simfoundry.frontends.draft import ImportOptions, ModelDraft, plain_name
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.models.scene import SceneSpec

@@ -1,28 +1,21 @@
 """Restore scenes from compiled MJCF, whose names and custom fields contain what MJCF cannot express.
 
-See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the fields.
+See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.surroundings` for the fields.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.backends.mjcf.custom import MARK
-from simfoundry.frontends.compiled_robot import robot_draft
-from simfoundry.frontends.draft import (
-    BodyDraft,
-    JointDraft,
-    LightDraft,
-    LinkPath,
-    ModelDraft,
-)
+from simfoundry.backends.mjcf.surroundings import MARK
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LightDraft, LinkPath, ModelDraft, robot_draft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.mjcf.elements import read_camera
-from simfoundry.frontends.mjcf.source import MjcfSource
+from simfoundry.frontends.mjcf.elements import read_camera, split_color
+from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.geometry.frames import Pose
 
 BACKGROUND = ":background:"
@@ -37,20 +30,17 @@ class CustomFields:
     """Custom texts and numbers of a compiled file, by name."""
 
     texts: Mapping[str, str]
-    numbers: Mapping[str, tuple[float, ...]]
+    numbers: Mapping[str, list[float]]
 
 
 def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
     """Return the custom texts and numbers of a compiled model; None if SimFoundry did not compile it."""
-    kinds = mujoco.mjtObj
-    texts, numbers = {}, {}
-    data = bytes(model.text_data)
-    for k, (start, size) in enumerate(zip(model.text_adr.tolist(), model.text_size.tolist(), strict=True)):
-        text = data[start : start + size].rstrip(b"\0").decode("utf-8", "replace")
-        texts[mujoco.mj_id2name(model, kinds.mjOBJ_TEXT, k)] = text
-    for k, (start, size) in enumerate(zip(model.numeric_adr.tolist(), model.numeric_size.tolist(), strict=True)):
-        values = tuple(model.numeric_data[start : start + size].tolist())
-        numbers[mujoco.mj_id2name(model, kinds.mjOBJ_NUMERIC, k)] = values
+    texts = {}
+    for k in range(model.ntext):
+        start, size = int(model.text_adr[k]), int(model.text_size[k])
+        text = bytes(model.text_data[start : start + size]).rstrip(b"\0").decode("utf-8", "replace")
+        texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k)] = text
+    numbers = {model.numeric(k).name: model.numeric(k).data.tolist() for k in range(model.nnumeric)}
     return CustomFields(texts, numbers) if MARK in texts else None
 
 
@@ -70,36 +60,26 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
         if not isinstance(words, dict):
             message = f"robot `{name}` is not as compiled files have it: its text is no JSON object"
             raise ImportRefusedError(path, message)
-        X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
-        draft.robots.append(robot_draft(path, name, words, X_WB))
+        draft.robots.append(robot_draft(path, name, words, Pose.of(model.body_pos[body], model.body_quat[body])))
     for k in range(model.ncam):
-        root = int(model.body_rootid[model.cam_bodyid[k]])
-        if root in roots:
-            _take_camera(source, own, k, roots[root])
-    return _without_bodies(path, mujoco, list(roots.values()))
-
-
-def _take_camera(source: MjcfSource, own: CustomFields, k: int, robot: str) -> None:
-    """Add a camera on one of the robot's frames or, if no text names the frame, on the link to which it is attached."""
-    camera, model = read_camera(source, k), source.model
-    if camera is None:
-        return
-    frame = own.texts.get(f"{camera.name}{MOUNT}", "")
-    site = source.mujoco.mj_name2id(model, source.mujoco.mjtObj.mjOBJ_SITE, f"{robot}.{frame}")
-    if site >= 0:
-        camera.X_WC = Pose.of(model.site_pos[site], model.site_quat[site]).inverse() @ camera.X_WC
-    body = source.name("body", int(model.cam_bodyid[k]))
-    camera.mount = (robot, frame or body.removeprefix(robot).removeprefix("."))
-    source.draft.cameras.append(camera)
-
-
-def _without_bodies(path: Path, mujoco: Any, names: list[str]) -> Any:
-    """Return the model without some bodies of the world. Robots come after objects, so their coordinates are last."""
+        robot = roots.get(int(model.body_rootid[model.cam_bodyid[k]]))
+        camera = read_camera(source, k) if robot is not None else None
+        if camera is None or robot is None:
+            continue
+        # On one of the robot's frames or, if no text names the frame, on the link to which it is attached.
+        frame = own.texts.get(f"{camera.name}{MOUNT}", "")
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"{robot}.{frame}")
+        if site >= 0:
+            camera.X_WC = Pose.of(model.site_pos[site], model.site_quat[site]).inverse() @ camera.X_WC
+        body_name = source.name("body", int(model.cam_bodyid[k]))
+        camera.mount = (robot, frame or body_name.removeprefix(robot).removeprefix("."))
+        draft.cameras.append(camera)
+    # Robots come after objects, so that their coordinates are last.
     spec = mujoco.MjSpec.from_file(str(path))
     states = [(key.name, list(key.qpos), list(key.ctrl)) for key in spec.keys]
     for key in list(spec.keys):
         spec.delete(key)
-    for name in names:
+    for name in roots.values():
         spec.delete(spec.body(name))
     model = spec.compile()
     for name, qpos, ctrl in states:
@@ -131,9 +111,7 @@ def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], fre
     draft.relations = [text for text in own.texts.get("relations", "").split("; ") if text]
     for name, values in own.numbers.items():
         if name.endswith(":dome"):
-            strength = max(*values, 1e-9)  # a black light has no hue
-            red, green, blue = (v / strength for v in values)
-            draft.lights.append(LightDraft(name.removesuffix(":dome"), "dome", max(values), (red, green, blue)))
+            draft.lights.append(LightDraft(name.removesuffix(":dome"), "dome", *split_color(values)))
 
 
 def _link_name(qualified: str, owner: str, own: CustomFields) -> str:
@@ -172,7 +150,7 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
         joint.parent, joint.child = names[joint.parent], names[joint.child]
     for joint in body.joints:
         if joint.mimic is not None:
-            joint.mimic.joint = joints[joint.mimic.joint]
+            joint.mimic = replace(joint.mimic, joint=joints[joint.mimic.joint])
     for old, link in list(body.links.items()):
         link.name = names[old]
     body.links = {link.name: link for link in body.links.values()}

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import CameraDraft, DriveDraft, LightDraft, MimicDraft
-from simfoundry.frontends.mjcf.source import MjcfSource
-from simfoundry.frontends.xmltree import Element
+from simfoundry.frontends.draft import CameraDraft, LightDraft
+from simfoundry.frontends.files import Element
+from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.geometry.frames import Pose
+from simfoundry.scene.model import Mimic
+from simfoundry.spec.models.asset import DriveSpec
 
 PICTURE = (640, 480)
 """Default size [px] of a camera: that of MuJoCo's offscreen buffer."""
@@ -20,16 +23,12 @@ PICTURE = (640, 480)
 MAX_PAIRS = 2_000_000
 """Largest number of geom pairs that are compared for contact masks, which takes some seconds."""
 
-NO_WORD = "the language has no word for it"
-
 
 def add_elements(source: MjcfSource, roots: list[Element]) -> None:
     """Add all elements other than bodies to the draft; unsupported elements are recorded."""
     _add_mimics(source)
     _add_drives(source)
     _add_exclusions(source)
-    if not source.is_own:  # in compiled files, pairs and masks follow from the contact parameters of the geoms
-        _add_masks(source)
     _add_cameras(source)
     _add_lights(source)
     if not source.is_own:
@@ -40,11 +39,11 @@ def _add_mimics(source: MjcfSource) -> None:
     """Add mimic joints; every other equality constraint is recorded as dropped."""
     mujoco, model, joints = source.mujoco, source.model, source.joints
     for k in range(model.neq):
-        kind = mujoco.mjtEq(int(model.eq_type[k]))
+        kind = mujoco.mjtEq(model.eq_type[k])
         what = f"{kind.name.removeprefix('mjEQ_').lower()} equality {source.label('equality', k)}"
         one, two = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
         if kind != mujoco.mjtEq.mjEQ_JOINT or one not in joints or two not in joints:
-            source.draft.dropped(what, NO_WORD)
+            source.draft.inexpressible(what)
             continue
         (body, follower), (other, leader) = joints[one], joints[two]
         constant, ratio, *higher = model.eq_data[k][:5].tolist()
@@ -52,8 +51,8 @@ def _add_mimics(source: MjcfSource) -> None:
             why = "only a joint that follows another of the same object, in proportion, can be expressed"
             source.draft.dropped(what, why)
             continue
-        zero_one, zero_two = (float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (one, two))
-        follower.mimic = MimicDraft(leader.name, ratio, zero_one + constant - ratio * zero_two)
+        zero_one, zero_two = (float(model.jnt(joint).qpos0[0]) for joint in (one, two))
+        follower.mimic = Mimic(leader.name, ratio, zero_one + constant - ratio * zero_two)
 
 
 def _add_drives(source: MjcfSource) -> None:
@@ -61,13 +60,14 @@ def _add_drives(source: MjcfSource) -> None:
     mujoco, model, draft, joints = source.mujoco, source.model, source.draft, source.joints
     for k in range(model.nu):
         what, joint = f"actuator {source.label('actuator', k)}", int(model.actuator_trnid[k, 0])
-        on_joint = int(model.actuator_trntype[k]) == int(mujoco.mjtTrn.mjTRN_JOINT)
-        is_fixed = int(model.actuator_gaintype[k]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        is_affine = int(model.actuator_biastype[k]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        gain, (bias, stiffness, damping) = float(model.actuator_gainprm[k][0]), -model.actuator_biasprm[k][:3]
-        is_servo = is_fixed and is_affine and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
-        is_servo = is_servo and gain == (stiffness if stiffness > 0 else damping)
-        if not on_joint or joint not in joints or not is_servo or joints[joint][1].type == "ball":
+        kinds = (model.actuator_trntype[k], model.actuator_gaintype[k], model.actuator_biastype[k])
+        is_servo = kinds == (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE)
+        gain, (bias, stiffness, damping) = (
+            float(model.actuator_gainprm[k][0]),
+            (-model.actuator_biasprm[k][:3]).tolist(),
+        )
+        is_servo = is_servo and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
+        if not is_servo or gain != (stiffness or damping) or joint not in joints or joints[joint][1].type == "ball":
             draft.dropped(what, "only servos that hold a joint's position or velocity can be expressed")
             continue
         driven = joints[joint][1]
@@ -75,35 +75,36 @@ def _add_drives(source: MjcfSource) -> None:
             draft.dropped(what, "its joint has a drive already")
             continue
         gear = float(model.actuator_gear[k, 0])
-        driven.drive = DriveDraft(float(stiffness) * gear**2, float(damping) * gear**2)
-        limit = float(np.abs(model.actuator_forcerange[k]).max()) * abs(gear)
-        if bool(model.actuator_forcelimited[k]) and limit > 0:
-            driven.drive.force_limit = limit
-        if stiffness > 0 and model.nkey and gear:
-            driven.drive.target = float(source.data.ctrl[k]) / gear
+        limit = float(np.abs(model.actuator_forcerange[k]).max()) * abs(gear) if model.actuator_forcelimited[k] else 0
+        target = float(source.data.ctrl[k]) / gear if stiffness > 0 and model.nkey and gear else None
+        driven.drive = DriveSpec(
+            stiffness=stiffness * gear**2, damping=damping * gear**2, target=target, force_limit=limit or None
+        )
     for joint, (_, driven) in joints.items():
         stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
         what = f"spring of joint `{driven.name}`"
         if stiffness and (driven.type == "ball" or driven.drive is not None):
             draft.dropped(what, "a joint has one drive, and no spring beside it")
         elif stiffness:
-            driven.drive = DriveDraft(stiffness, 0.0, float(model.qpos_spring[model.jnt_qposadr[joint]]))
+            driven.drive = DriveSpec(stiffness=stiffness, target=float(model.jnt(joint).qpos_spring[0]))
             draft.changed(what, "a drive holds the joint with the same stiffness")
 
 
 def _add_exclusions(source: MjcfSource) -> None:
-    """Add the pairs of bodies in `<exclude>`, except those of compiled proxy geoms."""
+    """Add the pairs of bodies in `<exclude>`, except those of compiled proxy geoms, and those that masks exclude."""
     for k, signature in enumerate(source.model.exclude_signature.tolist()):
         one, two = signature >> 16, signature & 0xFFFF
         if not source.is_own or (one in source.owners and two in source.owners):
             _exclude(source, one, two, f"exclusion {source.label('exclude', k)}")
+    if not source.is_own:  # in compiled files, pairs and masks follow from the contact parameters of the geoms
+        _add_masks(source)
 
 
 def _add_masks(source: MjcfSource) -> None:
     """Add the pairs of bodies that contact masks exclude; masks that differ within a body are recorded as dropped."""
     model, draft, owners = source.model, source.draft, source.owners
     if model.npair:
-        draft.dropped("contact pairs with parameters of their own", NO_WORD, f"{model.npair}")
+        draft.inexpressible("contact pairs with parameters of their own", f"{model.npair}")
     types, affinities = model.geom_contype, model.geom_conaffinity
     colliders = np.flatnonzero(types | affinities).tolist()
     masks = {(int(types[g]), int(affinities[g])) for g in colliders}
@@ -163,11 +164,11 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
     """Return camera ``k`` in the frame of its body; record it and return None if it is not a pinhole camera."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
-    if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
+    if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
         draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
     # MuJoCo 3.5 replaced the flag by an enum of projections, in which 1 is orthographic.
     projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
-    if int(projections[k]) == 1:
+    if projections[k] == 1:
         draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
         return None
     X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
@@ -190,34 +191,35 @@ def _add_lights(source: MjcfSource) -> None:
     """Add lights that are fixed to the world."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     for k in range(model.nlight):
-        name = source.name("light", k) or f"light_{k + 1}"
-        if int(model.light_bodyid[k]) != 0:
+        light, name = model.light(k), source.name("light", k) or f"light_{k + 1}"
+        if model.light_bodyid[k] != 0:
             draft.dropped(f"light `{name}`", "it is carried by a body, and lights stand still here")
             continue
-        if not bool(model.light_active[k]):
+        if not model.light_active[k]:
             continue
-        diffuse = [max(0.0, float(v)) for v in model.light_diffuse[k]]
-        strength = max(*diffuse, 1e-9)  # a black light has no color
-        color = (diffuse[0] / strength, diffuse[1] / strength, diffuse[2] / strength)
-        x, y, z = model.light_pos[k].tolist()
-        dx, dy, dz = model.light_dir[k].tolist()
-        is_distant = int(model.light_type[k]) == int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-        if not is_distant and float(model.light_cutoff[k]) < 90:
+        is_distant = model.light_type[k] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        if not is_distant and model.light_cutoff[k] < 90:
             draft.changed(f"spotlight `{name}`", "it shines all around: a point light")
+        intensity, color = split_color(light.diffuse.tolist())
         kind = "distant" if is_distant else "point"
-        draft.lights.append(LightDraft(name, kind, max(diffuse), color, (dx, dy, dz), (x, y, z)))
+        draft.lights.append(
+            LightDraft(name, kind, intensity, color, tuple(light.dir.tolist()), tuple(light.pos.tolist()))
+        )
 
 
-_LEFT_OUT = ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple")
-"""Kinds of elements that are omitted."""
+def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:
+    """Return the intensity of a light and its color, whose largest channel is 1, from red, green and blue."""
+    rgb = [max(0.0, v) for v in values]
+    strength = max(*rgb, 1e-9)  # a black light has no color
+    return max(rgb), (rgb[0] / strength, rgb[1] / strength, rgb[2] / strength)
 
 
 def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
     """Record every omitted element by kind and name."""
     model, draft = source.model, source.draft
-    for kind in _LEFT_OUT:
+    for kind in ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple"):
         for k in range(int(getattr(model, f"n{kind}", 0))):
-            draft.dropped(f"{kind} {source.label(kind, k)}", NO_WORD)
+            draft.inexpressible(f"{kind} {source.label(kind, k)}")
     for k in range(1, model.nkey):
         draft.dropped(f"keyframe {source.label('key', k)}", "a scene has one state; the first is taken")
     settings: Counter[str] = Counter()
@@ -226,7 +228,7 @@ def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
     for what in sorted(settings):
         draft.dropped(what, "how a simulator computes is for its target to say")
     for body in np.flatnonzero(model.body_gravcomp).tolist():
-        draft.dropped(f"gravity compensation of body {source.label('body', body)}", NO_WORD)
+        draft.inexpressible(f"gravity compensation of body {source.label('body', body)}")
     geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     usual_reference = np.isclose(model.geom_solref[geoms], (0.02, 1)).all(axis=1)
     usual_impedance = np.isclose(model.geom_solimp[geoms], (0.9, 0.95, 0.001, 0.5, 2)).all(axis=1)
@@ -237,4 +239,4 @@ def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
     }
     for what, found in counts.items():
         if found.any():
-            draft.dropped(what, NO_WORD, f"{int(found.sum())}")
+            draft.inexpressible(what, f"{int(found.sum())}")

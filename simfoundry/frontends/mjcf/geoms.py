@@ -3,24 +3,52 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import MeshDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    JointDraft,
+    MeshDraft,
+    ModelDraft,
+    PartDraft,
+    PrimitiveShape,
+    Rgba,
+    plain_name,
+)
 from simfoundry.frontends.meshes import mesh_of_parts
-from simfoundry.frontends.mjcf.source import MjcfSource
-from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
-GROUND = 20.0
-"""Width [m] of the box that represents an infinite plane: the maximum in documents."""
 
-DEPTH = 0.1
-"""Thickness [m] of that box, whose top is the plane; thick enough that nothing tunnels through it."""
+@dataclass(eq=False)
+class MjcfSource:
+    """The module mujoco, a model with its data at the first keyframe, and the resulting draft.
+
+    ``is_own`` is True for files that SimFoundry compiled. ``owners`` contains for each body its draft, its link, and
+    the pose of the link frame in the body frame; ``joints`` contains for each joint the draft of its body and its own.
+    """
+
+    mujoco: Any
+    model: Any
+    data: Any
+    draft: ModelDraft
+    is_own: bool
+    owners: dict[int, tuple[BodyDraft, str, Pose]] = field(default_factory=dict)
+    joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
+
+    def name(self, kind: str, number: int) -> str:
+        """Return the name of an element, empty if it has none; ``kind`` is a MuJoCo object type such as `body`."""
+        return self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number) or ""
+
+    def label(self, kind: str, number: int) -> str:
+        """Return the name of an element for a message, or its number."""
+        name = self.name(kind, number)
+        return f"`{name}`" if name else f"number {number + 1}"
+
 
 HIDDEN_GROUP = 3
 """First group that MuJoCo's viewers hide by default; geoms in it are for contact only."""
@@ -40,7 +68,7 @@ class MjcfGeoms:
         """Return a geom as a part, posed in its body; record an unsupported geom and return None."""
         model, types = self.model, self.mujoco.mjtGeom
         name = self.source.name("geom", geom)
-        kind = self.mujoco.mjtGeom(int(model.geom_type[geom]))
+        kind = types(model.geom_type[geom])
         X_BG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         geometry: PrimitiveShape | MeshDraft
         a, b, c = (float(v) for v in model.geom_size[geom])
@@ -56,15 +84,13 @@ class MjcfGeoms:
             case types.mjGEOM_ELLIPSOID:
                 geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
             case types.mjGEOM_PLANE:
-                geometry = BoxShape(box=(2 * a or GROUND, 2 * b or GROUND, DEPTH))
-                X_BG = X_BG @ Pose.of([0, 0, -DEPTH / 2])
-                what = f"plane `{name or geom}`"
-                self.draft.changed(what, f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it")
+                geometry, X_GB = self.draft.plane(f"plane `{name or geom}`", 2 * a, 2 * b)
+                X_BG = X_BG @ X_GB
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
                 geometry, X_BG = self.mesh(geom, X_BG)
             case _:
                 kind_name = kind.name.removeprefix("mjGEOM_").lower()
-                self.draft.dropped(f"geom `{name or geom}`", f"the language has no {kind_name}")
+                self.draft.dropped(f"geom `{name or geom}`", f"the scene language has no {kind_name}")
                 return None
         use = self.use(geom)
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
@@ -83,12 +109,14 @@ class MjcfGeoms:
         model = self.model
         if part.collides:
             sliding, spinning, rolling = model.geom_friction[geom].tolist()
-            dimensions, contact = int(model.geom_condim[geom]), part.contact
-            contact.friction = sliding if dimensions > 1 else 0.0
-            contact.torsional = spinning if dimensions >= 4 else None
-            contact.rolling = rolling if dimensions >= 6 else None
+            dimensions = int(model.geom_condim[geom])
+            part.contact["friction"] = sliding if dimensions > 1 else 0.0
             if self.source.is_own and model.nuser_geom:
-                contact.restitution = float(model.geom_user[geom, 0])
+                part.contact["restitution"] = float(model.geom_user[geom, 0])
+            if dimensions >= 4:
+                part.contact["torsional_friction"] = spinning
+            if dimensions >= 6:
+                part.contact["rolling_friction"] = rolling
         material = int(model.geom_matid[geom])
         if self.texture(material) >= 0 and not isinstance(part.geometry, MeshDraft):
             self.draft.dropped(f"texture of geom `{part.name}`", "only meshes have textures")
@@ -100,10 +128,11 @@ class MjcfGeoms:
     def rgba(self, geom: int) -> Rgba:
         """Return the color of a geom: its own, or that of its material."""
         model, material = self.model, int(self.model.geom_matid[geom])
-        own: Rgba = tuple(float(np.clip(v, 0, 1)) for v in model.geom_rgba[geom])  # type: ignore[assignment]
-        if own != UNSET or material < 0:
-            return own
-        return tuple(float(np.clip(v, 0, 1)) for v in model.mat_rgba[material])  # type: ignore[return-value]
+        rgba = model.geom_rgba[geom].tolist()
+        if tuple(rgba) == UNSET and material >= 0:
+            rgba = model.mat_rgba[material].tolist()
+        r, g, b, a = (min(max(v, 0.0), 1.0) for v in rgba)
+        return r, g, b, a
 
     def texture(self, material: int) -> int:
         """Return the id of the color texture of a material; -1 if none can be applied to a mesh."""
@@ -112,7 +141,7 @@ class MjcfGeoms:
         roles = np.ravel(self.model.mat_texid[material])
         role = int(self.mujoco.mjtTextureRole.mjTEXROLE_RGB)
         texture = int(roles[role]) if len(roles) > role else int(roles[0])
-        flat = texture >= 0 and int(self.model.tex_type[texture]) == int(self.mujoco.mjtTexture.mjTEXTURE_2D)
+        flat = texture >= 0 and self.model.tex_type[texture] == self.mujoco.mjtTexture.mjTEXTURE_2D
         return texture if flat else -1
 
     def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:

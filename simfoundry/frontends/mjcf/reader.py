@@ -12,15 +12,12 @@ import numpy as np
 
 from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.file_search import FileSearch, NotFoundError, missing_file
+from simfoundry.frontends.files import Element, FileSearch, NotFoundError, missing_file, read_xml
 from simfoundry.frontends.mass_repair import feather_link, repair_masses
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
-from simfoundry.frontends.mjcf.geoms import MjcfGeoms
-from simfoundry.frontends.mjcf.source import MjcfSource
-from simfoundry.frontends.urdf.reader import UNLIMITED_SLIDE_M
-from simfoundry.frontends.xmltree import Element, read_xml
+from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.geometry.frames import Array, Pose
 
 MAX_INCLUDES = 100
@@ -113,7 +110,9 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
         if field.endswith("quat"):
             bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is no rotation"
         elif field == "jnt_axis":
-            moves = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)))
+            moves = np.isin(
+                model.jnt_type, [int(kind) for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)]
+            )
             bad, problem = bad | (moves & (np.linalg.norm(rows, axis=1) < NO_LENGTH)), "is no direction"
         if bad.any():
             number = int(np.argmax(bad))
@@ -208,7 +207,7 @@ class _MjcfReader:
         """Convert a child of the world: a free body, a fixed body, or one with joints on a static base."""
         model, name, joints = self.model, self.names["body"][body], self.joints_of(body)
         unique = name if name == self.draft.free_name(name) else f"{name}_body"
-        free = [int(model.jnt_type[j]) for j in joints] == [int(self.mujoco.mjtJoint.mjJNT_FREE)]
+        free = [model.jnt_type[j] for j in joints] == [self.mujoco.mjtJoint.mjJNT_FREE]
         if not joints or free:
             draft = BodyDraft(unique, name, {}, fixed=not free, X_WO=self.body_pose(body))
             self.draft.bodies.append(draft)
@@ -228,9 +227,9 @@ class _MjcfReader:
 
     def note_free_dynamics(self, joint: int) -> None:
         """Record damping, friction and armature of a free joint as dropped, because free bodies have no joint."""
-        dof, what = int(self.model.jnt_dofadr[joint]), f"free joint `{self.names['joint'][joint]}`"
-        for field, word in (("dof_armature", "armature"), ("dof_damping", "damping"), ("dof_frictionloss", "friction")):
-            value = float(np.ravel(getattr(self.model, field)[dof])[0])
+        what = f"free joint `{self.names['joint'][joint]}`"
+        for field, word in (("armature", "armature"), ("damping", "damping"), ("frictionloss", "friction")):
+            value = float(getattr(self.model.jnt(joint), field).flat[0])
             if value:
                 self.draft.dropped(f"{word} of {what}", "what is free moves without one", f"{value:.4g}")
 
@@ -267,34 +266,31 @@ class _MjcfReader:
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
         """Convert a joint with MuJoCo's coordinate: its zero is that of the file, independent of `ref`."""
         model, kinds = self.model, self.mujoco.mjtJoint
-        kind, name = int(model.jnt_type[joint]), self.names["joint"][joint]
-        dof, address = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
-        out = JointDraft(name, "revolute", parent, child, X_PL, np.array(model.jnt_axis[joint], dtype=np.float64))
-        out.damping = float(np.ravel(model.dof_damping[dof])[0])
-        out.friction, out.armature = float(model.dof_frictionloss[dof]), float(model.dof_armature[dof])
-        low, high = (float(v) for v in model.jnt_range[joint])
-        is_limited = bool(model.jnt_limited[joint])
-        if kind == int(kinds.mjJNT_BALL):
+        kind, name, source = model.jnt_type[joint], self.names["joint"][joint], model.jnt(joint)
+        axis = np.array(source.axis, dtype=np.float64)
+        out = JointDraft(name, "revolute", parent, child, X_PL, axis, damping=float(source.damping.flat[0]))
+        out.friction, out.armature = float(source.frictionloss[0]), float(source.armature[0])
+        low, high = source.range.tolist()
+        is_limited = bool(source.limited)
+        qpos = self.data.joint(joint).qpos
+        if kind == kinds.mjJNT_BALL:
             out.type = "ball"
-            turn, zero = (Pose.of(q=q[address : address + 4]) for q in (self.data.qpos, model.qpos0))
-            out.motion = zero.inverse() @ turn
+            out.motion = Pose.of(q=source.qpos0).inverse() @ Pose.of(q=qpos)
             if is_limited:
-                self.draft.dropped(f"limit of ball joint `{name}`", "the language has no word for it")
+                self.draft.inexpressible(f"limit of ball joint `{name}`")
             return out
-        out.position = float(self.data.qpos[address])
+        out.position = float(qpos[0])
         out.limits = (low, high) if is_limited else None
-        reference = float(model.qpos0[address])
-        axis = out.axis / np.linalg.norm(out.axis)
-        if kind == int(kinds.mjJNT_SLIDE):
+        reference = float(source.qpos0[0])
+        axis /= np.linalg.norm(axis)
+        if kind == kinds.mjJNT_SLIDE:
             out.type = "prismatic"
             out.X_PC = X_PL @ Pose.of(-reference * axis)
             if not is_limited:
-                out.limits = (-UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M)
-                why = f"it has no limits; {UNLIMITED_SLIDE_M:g} m to either side stand for that"
-                self.draft.changed(f"joint `{name}`", why)
+                out.limits = self.draft.unlimited_slide(f"joint `{name}`")
         else:
             out.type = "revolute" if is_limited else "continuous"
-            out.X_PC = X_PL @ Pose.of(q=(np.cos(-reference / 2), *(axis * np.sin(-reference / 2))))
+            out.X_PC = X_PL @ Pose.about(axis, -reference)
         return out
 
     def joints_of(self, body: int) -> list[int]:

@@ -22,7 +22,7 @@ from simfoundry.frontends.draft import (
     RobotDraft,
 )
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.json_file import read_json
+from simfoundry.frontends.files import read_json
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
@@ -176,14 +176,10 @@ class _SceneReader:
         own, materials = entry.get("friction"), args.get("link_physics_materials") or {}
         for link in body.links.values():
             material = materials.get(link.name)
-            value = (
-                material.get("dynamic_friction", material.get("static_friction"))
-                if isinstance(material, dict)
-                else None
-            )
-            for friction in (own, value):
+            material = material if isinstance(material, dict) else {}
+            for friction in (own, material.get("dynamic_friction", material.get("static_friction"))):
                 if isinstance(friction, int | float) and friction >= 0:
-                    link.contact.friction = float(friction)
+                    link.contact["friction"] = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
         """Set the joint positions, which the file lists without names, in the breadth-first order of PhysX."""

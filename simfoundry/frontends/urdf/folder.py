@@ -8,10 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.compiled_robot import robot_draft
-from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, PartDraft
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    ImportOptions,
+    JointDraft,
+    LinkDraft,
+    ModelDraft,
+    PartDraft,
+    robot_draft,
+)
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.json_file import read_json
+from simfoundry.frontends.files import read_json
 from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape

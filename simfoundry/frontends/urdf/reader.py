@@ -17,29 +17,21 @@ from simfoundry.assets.errors import LARGEST, MeshError
 from simfoundry.frontends.draft import (
     DEFAULTS,
     BodyDraft,
-    ContactDraft,
     ImportOptions,
     JointDraft,
     LinkDraft,
     MeshDraft,
-    MimicDraft,
     ModelDraft,
     PartDraft,
     PrimitiveShape,
     Rgba,
 )
-from simfoundry.frontends.file_search import FileSearch
+from simfoundry.frontends.files import Element, FileSearch, read_xml
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.meshes import Scale, group_drafts, mesh_draft, mesh_width
-from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
-
-UNLIMITED_SLIDE_M = 1000.0
-"""Limits [m] assumed for a prismatic joint without limits, because documents require them."""
-
-GROUND = (20.0, 20.0, 0.1)
-"""Size [m] of the box that represents an infinite plane: the maximum in documents; its top is the plane."""
 
 LEAST_AXIS = 1e-9
 """Smallest length of an axis with a direction."""
@@ -47,13 +39,18 @@ LEAST_AXIS = 1e-9
 SAME_POSE = 1e-12
 """Tolerance for equal elements of transforms, which allows for rounding."""
 
+CONTACT = {
+    "lateral_friction": "friction", "restitution": "restitution", "spinning_friction": "torsional_friction",
+    "rolling_friction": "rolling_friction",
+}  # fmt: skip
+"""Keys of contact parameters in documents by the elements of Bullet's `<contact>`."""
+
 _READ = {
     "robot": ("link", "joint", "material"),
     "joint": ("origin", "axis", "limit", "dynamics", "mimic", "parent", "child", "joint_properties"),
     "link": ("inertial", "visual", "collision", "contact", "joint_properties"),
-    "contact": ("lateral_friction", "restitution", "spinning_friction", "rolling_friction", "inertia_scaling",
-                "joint_properties"),
-}  # fmt: skip
+    "contact": (*CONTACT, "inertia_scaling", "joint_properties"),
+}
 """Child elements that are read, by parent; others are counted."""
 
 
@@ -102,7 +99,7 @@ class _UrdfReader:
         self.count_left_out()
         repair_masses(self.draft, str(self.path))
         for what, count in sorted(self.left_out.items()):
-            self.draft.dropped(what, "the language has no word for it", f"{count} times" if count > 1 else "")
+            self.draft.inexpressible(what, f"{count} times" if count > 1 else "")
         return self.draft
 
     def root_link(self, links: dict[str, LinkDraft], joints: Iterable[JointDraft]) -> str:
@@ -136,10 +133,10 @@ class _UrdfReader:
             self.inertial(link, inertial)
         contact = element.first("contact")
         if contact is not None:
-            keys = ("lateral_friction", "restitution", "spinning_friction", "rolling_friction")
-            values = [None if (e := contact.first(key)) is None else max(0.0, e.number("value")) for key in keys]
-            values[1] = None if values[1] is None else min(1.0, values[1])
-            link.contact = ContactDraft(*values)
+            given = ((key, contact.first(tag)) for tag, key in CONTACT.items())
+            link.contact = {key: max(0.0, element.number("value")) for key, element in given if element is not None}
+            if "restitution" in link.contact:
+                link.contact["restitution"] = min(1.0, link.contact["restitution"])
         visuals = [p for e in element.all("visual") for p in self.parts(e, "visual", link.name)]
         colliders = [p for e in element.all("collision") for p in self.parts(e, "collision", link.name)]
         link.parts = _united(visuals, colliders)
@@ -202,10 +199,10 @@ class _UrdfReader:
                 return self.mesh(shape), Pose.of()
             case "plane":
                 normal = np.array(shape.numbers("normal", 3, (0.0, 0.0, 1.0)))
-                self.draft.changed(f"plane of `{link}`", f"a box of {GROUND[0]:g} x {GROUND[1]:g} m stands for it")
-                return BoxShape(box=GROUND), _upright(normal) @ Pose.of([0, 0, -GROUND[2] / 2])
+                box, X_PB = self.draft.plane(f"plane of `{link}`")
+                return box, _upright(normal) @ X_PB
             case _:
-                self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "the language has no such shape")
+                self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "the scene language has no such shape")
                 return None
         if any(float(w) < 0 for text in shape.attributes.values() for w in text.split()):
             raise shape.refused(f"a `<{shape.tag}>` of link `{link}` has a negative size")
@@ -308,16 +305,14 @@ class _UrdfReader:
                 joint.type = "continuous"
                 self.draft.changed(what, "it has no limits, so it turns without end")
             case "prismatic":
-                joint.limits = (-UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M)
-                why = f"it has no limits; {UNLIMITED_SLIDE_M:g} m to either side stand for that"
-                self.draft.changed(what, why)
+                joint.limits = self.draft.unlimited_slide(what)
             case "spherical":
                 joint.type = "ball"
             case "floating":
                 joint.type = "free"
             case "planar":
                 joint.type = "fixed"
-                self.draft.dropped(f"motion of {what}", "the language has no planar joints; it is fixed")
+                self.draft.dropped(f"motion of {what}", "the scene language has no planar joints; it is fixed")
             case _:
                 raise element.refused(f"{what} is of the type `{joint.type}`, which URDF does not know")
 
@@ -331,7 +326,7 @@ class _UrdfReader:
                 raise mimic.refused(f"joint `{joint.name}` mimics `{leader}`, which does not exist")
             if leader == joint.name:
                 raise mimic.refused(f"joint `{joint.name}` mimics itself")
-            joint.mimic = MimicDraft(leader, mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
+            joint.mimic = Mimic(leader, mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
 
     def count_left_out(self) -> None:
         """Count the elements that are not read, by tag."""
@@ -360,15 +355,14 @@ def _upright(normal: Array) -> Pose:
     sine = float(np.linalg.norm(across))
     if sine < SAME_POSE:
         return Pose.of() if z[2] > 0 else Pose.of(q=(0.0, 1.0, 0.0, 0.0))
-    half = math.atan2(sine, float(z[2])) / 2
-    return Pose.of(q=(math.cos(half), *(across / sine * math.sin(half))))
+    return Pose.about(across / sine, math.atan2(sine, float(z[2])))
 
 
 def _lock(joint: JointDraft, position: float) -> None:
     """Fix a joint at a position."""
     axis = joint.axis / max(float(np.linalg.norm(joint.axis)), SAME_POSE)
-    turn = (math.cos(position / 2), *(axis * math.sin(position / 2)))
-    joint.X_PC = joint.X_PC @ (Pose.of(axis * position) if joint.type == "prismatic" else Pose.of(q=turn))
+    moved = Pose.of(axis * position) if joint.type == "prismatic" else Pose.about(axis, position)
+    joint.X_PC = joint.X_PC @ moved
     joint.type = "fixed"
 
 

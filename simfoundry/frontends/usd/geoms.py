@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, srgb_of_linear, texture_png
-from simfoundry.frontends.draft import ContactDraft, MeshDraft, ModelDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.draft import Contact, MeshDraft, ModelDraft, PartDraft, PrimitiveShape, Rgba, plain_name
 from simfoundry.frontends.meshes import mesh_of_parts
-from simfoundry.frontends.names import plain_name
-from simfoundry.frontends.urdf.reader import GROUND
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 EVEN_SCALE = 1e-6
@@ -34,14 +31,6 @@ AXES = {
 """Rotations that map z to an axis."""
 
 
-@dataclass(frozen=True)
-class UsdSurface:
-    """Physics material: contact parameters, and density [kg/m^3] if specified."""
-
-    contact: ContactDraft
-    density: float | None = None
-
-
 class UsdGprims:
     """Converts gprims of a stage to parts; ``to_kg`` and ``to_m`` are its units [kg, m]."""
 
@@ -54,7 +43,7 @@ class UsdGprims:
         if found is None:
             return None
         geometry, X_LP = found
-        part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP, contact=self.surface(prim).contact)
+        part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP, contact=self.surface(prim)[0])
         if not isinstance(geometry, MeshDraft) and part.use != "collision":
             part.color, _ = self.look(prim)
         return part
@@ -102,12 +91,10 @@ class UsdGprims:
                 radius = prim.GetAttribute("radius").Get() * float(across[0])
                 size = Round(radius=radius, height=prim.GetAttribute("height").Get() * float(scales[along]))
                 shape = CylinderShape(cylinder=size) if kind == "Cylinder" else CapsuleShape(capsule=size)
-                return shape, _pose(AXES[axis], np.zeros(3))
+                return shape, _pose(AXES[axis])
             case "Plane":
-                why = f"a box of {GROUND[0]:g} x {GROUND[1]:g} m stands for it"
-                self.draft.changed(f"plane `{prim.GetPath()}`", why)
-                X_GA = _pose(AXES[prim.GetAttribute("axis").Get()], np.zeros(3))
-                return BoxShape(box=GROUND), X_GA @ Pose.of([0, 0, -GROUND[2] / 2])
+                box, X_AB = self.draft.plane(f"plane `{prim.GetPath()}`")
+                return box, _pose(AXES[prim.GetAttribute("axis").Get()]) @ X_AB
         return None
 
     def baked(self, prim: Any, mesh: MeshPart, X_LG: Array, R_LG: Array | None) -> tuple[MeshDraft, Pose]:
@@ -167,30 +154,30 @@ class UsdGprims:
                 made = make(radius=value("radius"), height=value("height"))
                 if kind == "Cone":
                     made.apply_translation([0, 0, -value("height") / 2])
-                made.apply_transform(_pose(AXES[prim.GetAttribute("axis").Get()], np.zeros(3)).matrix)
+                made.apply_transform(_pose(AXES[prim.GetAttribute("axis").Get()]).matrix)
             case "Cube":
                 made = trimesh.creation.box(extents=[value("size")] * 3)
             case _:
-                self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the language has no such shape")
+                self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scene language has no such shape")
                 return None
         self.draft.changed(f"{kind} `{prim.GetPath()}`", f"a mesh of {len(made.faces)} triangles stands for it")
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
-    def surface(self, prim: Any) -> UsdSurface:
-        """Return the physics material that is bound to a gprim."""
+    def surface(self, prim: Any) -> tuple[Contact, float | None]:
+        """Return the contact parameters and density [kg/m^3] of the physics material that is bound to a gprim."""
         physics, shade = self.pxr.UsdPhysics, self.pxr.UsdShade
         material, _ = shade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         target = material.GetPrim() if material else None
         if not target or not target.HasAPI(physics.MaterialAPI):
-            return UsdSurface(ContactDraft())
-        api = physics.MaterialAPI(target)
-        attributes = (api.GetStaticFrictionAttr(), api.GetDynamicFrictionAttr(), api.GetRestitutionAttr(),
-                      api.GetDensityAttr())  # fmt: skip
+            return {}, None
+        names = ("staticFriction", "dynamicFriction", "restitution", "density")
+        attributes = (target.GetAttribute(f"physics:{name}") for name in names)
         static, dynamic, restitution, density = (float(a.Get()) if a.HasAuthoredValue() else None for a in attributes)
         if static is not None and dynamic is not None and abs(static - dynamic) > EVEN_SCALE:
             self.draft.changed(f"material `{target.GetPath()}`", "it has one friction here, the dynamic one")
-        contact = ContactDraft(dynamic if dynamic is not None else static, restitution)
-        return UsdSurface(contact, density * self.to_kg / self.to_m**3 if density else None)
+        given = {"friction": static if dynamic is None else dynamic, "restitution": restitution}
+        contact = {key: value for key, value in given.items() if value is not None}
+        return contact, density * self.to_kg / self.to_m**3 if density else None
 
     def look(self, prim: Any) -> tuple[Rgba | None, bytes | None]:
         """Return the color of a gprim, and the PNG of its texture."""
@@ -230,10 +217,8 @@ def is_collider(pxr: Any, prim: Any) -> bool:
     return pxr.UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
 
 
-def _pose(rotation: Array, p: Array) -> Pose:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = rotation, p
-    return Pose.from_matrix(out)
+def _pose(rotation: Array, p: Array | tuple[float, ...] = (0.0, 0.0, 0.0)) -> Pose:
+    return Pose.of(p, quat_from_matrix(rotation))
 
 
 def _is_even(scales: Array) -> bool:

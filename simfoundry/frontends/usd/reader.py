@@ -14,12 +14,11 @@ import numpy as np
 
 from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.file_search import FileSearch
+from simfoundry.frontends.files import FileSearch
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.usd.compiled.stage import error_text
 from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
-from simfoundry.frontends.usd.joints import UsdJoint, read_joint
-from simfoundry.frontends.usd.masses import UsdBody, add_mass
+from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_joint
 from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose
 
@@ -110,7 +109,7 @@ class _UsdReader:
         add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
-            self.draft.dropped(f"prims of type {kind}", "the language has no word for it", f"{count}")
+            self.draft.inexpressible(f"prims of type {kind}", f"{count}")
         missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
         if not self.draft.bodies:
             raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
@@ -307,8 +306,7 @@ class _UsdReader:
         if joint.type == "prismatic":
             value = float(moved.p @ axis)
         else:
-            value = 2 * math.atan2(float(moved.q[1:] @ axis), float(moved.q[0]))
-            value = (value + math.pi) % (2 * math.pi) - math.pi
+            value = (moved.angle_about(axis) + math.pi) % (2 * math.pi) - math.pi
         return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:

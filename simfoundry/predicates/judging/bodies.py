@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.form import Form
-from simfoundry.geometry.frames import Pose
-from simfoundry.geometry.poses import Turn
+from simfoundry.geometry.frames import Pose, Turn
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
 from simfoundry.scene.robot import Robot, mujoco_model

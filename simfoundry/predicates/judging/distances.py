@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from simfoundry.geometry.distance import (
+    Exact,
     LinkPair,
     ball_bound,
     box_bounds,
@@ -17,10 +18,8 @@ from simfoundry.geometry.distance import (
     decide_support,
     steepest_together,
 )
-from simfoundry.geometry.exact_distance import Exact
 from simfoundry.geometry.form import FEW
-from simfoundry.geometry.frames import Array
-from simfoundry.geometry.poses import Index
+from simfoundry.geometry.frames import Array, Index
 from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.predicates.judging.view import Balls, View
@@ -103,15 +102,8 @@ class Distances:
             if len(open_):
                 some = pair.at(open_)
                 most = np.full(len(open_), np.nextafter(limit, np.inf))
-                state, near, way = self._exact.pushes(
-                    some.a,
-                    some.b,
-                    some.X_WA,
-                    some.X_WB,
-                    candidates(some, most),
-                    limit,
-                    steepest if many else np.inf,
-                )
+                enough = steepest if many else np.inf
+                state, near, way = self._exact.pushes(some, candidates(some, most), limit, enough)
                 apart[open_], up[open_] = np.inf, -1.0
                 np.minimum.at(apart, open_[state], near)
                 np.maximum.at(up, open_[state], way[:, 2])
@@ -130,7 +122,7 @@ class Distances:
 
     def _measured(self, pair: LinkPair, most: Array) -> Array:
         """Distances [m] of two links where they are below ``most`` [m]."""
-        return self._exact.distance(pair.a, pair.b, pair.X_WA, pair.X_WB, candidates(pair, most), most)
+        return self._exact.distance(pair, candidates(pair, most), most)
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
         """Bounds of the distances of two links that lie on the correct side of a threshold."""
@@ -141,7 +133,7 @@ class Distances:
             some = pair.at(open_)
             most = np.full(len(open_), np.nextafter(threshold, np.inf))
             near = candidates(some, most)
-            found[open_] = self._exact.distance(some.a, some.b, some.X_WA, some.X_WB, near, most, threshold)
+            found[open_] = self._exact.distance(some, near, most, threshold)
         return found
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.geometry.frames import Array
-from simfoundry.geometry.poses import Poses
+from simfoundry.geometry.frames import Array, Poses
 from simfoundry.predicates.judging.bodies import Bodies, CollisionBody, Entity
 from simfoundry.predicates.judging.distances import FAR, Distances
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH

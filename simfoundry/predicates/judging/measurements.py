@@ -9,11 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.cavity import Cavity, cavity_upward
-from simfoundry.geometry.frames import Array
+from simfoundry.geometry.cavity import Cavity, cavity_upward, volume_samples
+from simfoundry.geometry.frames import Array, Index, Poses, rotate
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
-from simfoundry.geometry.poses import Index, Poses, rotate
-from simfoundry.geometry.volume_samples import volume_samples
 from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.judge import Context
 from simfoundry.predicates.judging.thresholds import (

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.geometry.form import TURNED, Form
-from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.poses import Index, Poses, rotate
+from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
 from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.scene.model import Joint, JointType, Scene
 from simfoundry.scene.state import SceneState

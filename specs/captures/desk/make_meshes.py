@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from simfoundry.assets.prism import prism_mesh
+from simfoundry.assets.solids import prism_mesh
 from tests.assets.meshes import blob, block, obj
 
 Rng = np.random.Generator

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.frontends.draft import ImportOptions
+from simfoundry.frontends.files import read_xml
 from simfoundry.frontends.importer import ImportReport, import_file
-from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError

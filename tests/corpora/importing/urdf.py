@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.frontends.files import read_xml
 from simfoundry.frontends.importer import ImportReport
-from simfoundry.frontends.xmltree import read_xml
 from simfoundry.geometry.frames import Pose, from_xyzw
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
 from tests.corpora.importing.outcome import LIMIT, MASS, POSE, Outcome

@@ -11,7 +11,7 @@ from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import tessellate
 from simfoundry.render.raycast import raycast
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.load import load_capture

@@ -13,25 +13,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from simfoundry.assets import mass
-from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.mesh import open_edges, weld
+from simfoundry.assets.solids import checked_profile
 from simfoundry.cousins.objects.appearance import change_material, color_of, recolor
-from simfoundry.cousins.objects.components import Kind, components
-from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, stretched, taper
+from simfoundry.cousins.objects.geometry import is_radial, reshape, resize, stretched, taper
 from simfoundry.cousins.objects.item import ObjectAsset, item_of_asset, lowered
 from simfoundry.cousins.objects.meshes import COLLIDERS, FORMS, swept
-from simfoundry.cousins.objects.parts import (
-    Profile,
-    at,
-    axis_of,
-    flared,
-    parts_of,
-    raised_foot,
-    rod,
-    swelled,
-    thickened,
-)
-from simfoundry.cousins.objects.procedural import draft, reshape, rng_of
+from simfoundry.cousins.objects.parts import Kind, at, axis_of, components, lathe_of, parts_of, rod
+from simfoundry.cousins.objects.procedural import draft, rng_of
+from simfoundry.cousins.objects.profiles import Profile, flared, raised_foot, swelled, thickened
 from simfoundry.cousins.objects.skins import PATTERNS, skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.variants import weighed
@@ -67,11 +57,9 @@ def read_mesh_bytes(obj: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def profile(name: str) -> Profile:
     spec = item(name).spec
-    key = lathe_of(spec, components(spec)[0])
-    assert key is not None
-    shape = parts_of(spec)[key].shape
-    assert isinstance(shape, LatheShape)
-    return Profile.of(shape)
+    lathe = lathe_of(spec, components(spec)[0])
+    assert lathe is not None
+    return lathe[1]
 
 
 @pytest.mark.parametrize(
@@ -280,12 +268,12 @@ def test_other_silhouettes_are_hollow_with_an_even_wall(name: str) -> None:
         if edit is None:
             sharp += 1
             continue
-        key = lathe_of(edit[0], body)
-        assert key is not None
-        shape = parts_of(edit[0])[key].shape
+        lathe = lathe_of(edit[0], body)
+        assert lathe is not None
+        shape = parts_of(edit[0])[lathe[0]].shape
         assert isinstance(shape, LatheShape)
         checked_profile(np.array(shape.lathe.profile))
-        new = Profile.of(shape)
+        new = lathe[1]
         assert new.is_hollow and 0.7 * old.height < new.height < 1.6 * old.height
         assert new.thinnest > 0.45 * old.thinnest and new.thinnest > 0.0008
         words.add(edit[1].partition(",")[0])

@@ -27,11 +27,10 @@ from simfoundry.cousins.objects.generation import (
 )
 from simfoundry.cousins.objects.item import ObjectAsset, item_of_mesh, lowered
 from simfoundry.cousins.objects.meshes import deformed
-from simfoundry.cousins.objects.retrieval import Retrieval, VariantLibrary, likeness
+from simfoundry.cousins.objects.retrieval import VariantLibrary, likeness
 from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.recipe.candidate import Reason
-from simfoundry.geometry.shapes import Capsule
-from simfoundry.geometry.tessellate import tessellate
+from simfoundry.geometry.shapes import Capsule, tessellate
 from simfoundry.models.generators import ModelError
 from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
@@ -109,7 +108,7 @@ def test_a_library_ranks_by_kind_size_and_shape(library: VariantLibrary) -> None
 
 def test_retrieval_takes_what_is_of_the_kind_and_scales_it(library: VariantLibrary) -> None:
     axis = ObjectVariants(sources=("library",), count=3)
-    found = variants(item("cup"), axis, sources={"library": Retrieval(library)})
+    found = variants(item("cup"), axis, sources={"library": library})
     assert {v.spec.category for v in found.accepted} == {"cup"} and len(found.accepted) == 2
     assert {"kind", "library"} >= set(found.reasons) - {"alike", "stands", "mass", "size"}
     assert any("`cube`, is a cube, not a cup" in r.text for one in found.refused for r in one.reasons)
@@ -242,11 +241,11 @@ def test_a_made_mesh_is_fitted_to_the_twin() -> None:
 
 def test_prompts_are_those_of_the_paper_with_their_variables() -> None:
     with pytest.raises(Exception, match="component"):
-        prompt("B")
-    text = prompt("D", component="handle", dimension="visual", variation_description="a wooden handle")
+        prompt("b_topology")
+    text = prompt("d_edit", component="handle", dimension="visual", variation_description="a wooden handle")
     assert text.startswith("Modify the following component of the object: 'handle'.")
     assert "Apply this visual variation: a wooden handle." in text and "{" not in text
-    assert prompt("E").endswith("SceneReasonable: <yes/no>; SceneReason: <short reason>")
+    assert prompt("e_verify").endswith("SceneReasonable: <yes/no>; SceneReason: <short reason>")
 
 
 def test_the_picture_for_models_is_transparent_around_the_thing() -> None:

@@ -13,7 +13,7 @@ from simfoundry.cousins.tasks.enumeration import Proposal, Proposals, checked, e
 from simfoundry.cousins.tasks.proposals import task_cousins
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.geometry.frames import Pose
-from simfoundry.lint.run import lint
+from simfoundry.lint.lints import lint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.cousins import TaskAxis

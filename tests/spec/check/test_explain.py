@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import decompose
+from simfoundry.assets import convex
 from simfoundry.capture.load import load_frame
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.pages import FOLDER, GROUPS, Page, code_of, findings_page, grouped, pages, titles
@@ -106,7 +106,7 @@ def test_what_is_wrong_gives_the_code_and_no_other(code: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize("code", SHOWN)
 def test_what_is_right_gives_nothing(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
+    monkeypatch.setattr(convex, "FUNCTION", COARSE)
     pictures(tmp_path)
     assert findings_of(written(PAGES[code], "Right", tmp_path)) == set()
 

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.backends.usd.cameras import X_CU
-from simfoundry.backends.usd.lights import FULL
+from simfoundry.backends.usd.surroundings import FULL, X_CU
 from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
-from simfoundry.frontends.usd.compiled.edits import pose_data
-from simfoundry.frontends.usd.compiled.stage import factored
-from simfoundry.frontends.usd.compiled.values import StageNote, as_name, short, srgb
+from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageNote, factored
 from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place, light_type
 from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.geometry.frames import Pose

@@ -45,6 +45,15 @@ class StageError(SimfoundryError):
 
 
 @dataclass(frozen=True)
+class StageNote:
+    """Note on content of a stage that the document cannot express: prim path, message, and remedy."""
+
+    prim: str
+    message: str
+    hint: str = ""
+
+
+@dataclass(frozen=True)
 class StageMember:
     """Member of a section of the document, with the prim that represents it.
 

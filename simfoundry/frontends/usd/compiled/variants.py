@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd.compiled.stage import UNKNOWN, StageMember, links_of
-from simfoundry.frontends.usd.compiled.values import StageNote
+from simfoundry.frontends.usd.compiled.stage import UNKNOWN, StageMember, StageNote, links_of
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, GEOMETRY, OF_GEOMETRY, ObjectSpec, variant_of
 from simfoundry.spec.yaml.write import to_data
 

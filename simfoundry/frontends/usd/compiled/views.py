@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
-from simfoundry.backends.usd.lights import FULL
-from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
-from simfoundry.frontends.usd.compiled.stage import StageMember
-from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
+from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
+from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 

@@ -1,0 +1,280 @@
+"""Scenes edited in place, and operations on them: load or import, check, lower, compile, open, judge."""
+
+from __future__ import annotations
+
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simfoundry.api.document import EditableDocument
+from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.models import base, robot, scene
+
+if TYPE_CHECKING:
+    import mujoco
+    from pxr import Usd
+
+    from simfoundry.api.build import Build
+    from simfoundry.predicates import Verdict
+    from simfoundry.scene.model import Scene
+    from simfoundry.scene.state import SceneState
+    from simfoundry.worlds.base import World
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+ShapeSpec = (
+    base.BoxShape | base.SphereShape | base.CylinderShape | base.CapsuleShape | base.PrismShape | base.LatheShape
+)
+Values = Mapping[str, object]
+"""Fields as in the YAML: ``{"box": [0.1, 0.1, 0.1]}``."""
+
+Text = ValueField[str | None, str | None]
+Names = ValueField[tuple[str, ...], Sequence[str] | None]
+Number = ValueField[float, float | None]
+OptionalNumber = ValueField[float | None, float | None]
+Flag = ValueField[bool, bool | None]
+Quantity = ValueField[float | base.Estimate | None, float | base.Estimate | Values | None]
+Position = ValueField[Vector, Sequence[float] | None]
+Color = ValueField[tuple[float, ...] | None, Sequence[float] | None]
+Origin = ValueField[base.Origin | None, base.Origin | Values | None]
+
+
+class PoseEntry(DocumentEntry):
+    """A pose in its parent: position [m], and a rotation in at most one of three ways."""
+
+    _model = base.PoseSpec
+    xyz = Position()
+    yaw_deg = OptionalNumber()
+    rpy_deg = ValueField[Vector | None, Sequence[float] | None]()
+    quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
+
+
+class CameraPoseEntry(DocumentEntry):
+    """The pose of a camera: position [m], with a look-at point or a rotation."""
+
+    _model = base.CameraPose
+    xyz = Position()
+    look_at = ValueField[Vector | None, Sequence[float] | None]()
+    quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
+
+
+class MaterialEntry(DocumentEntry):
+    """A material: density [kg/m^3], friction coefficients, restitution and color."""
+
+    _model = base.Material
+    density = OptionalNumber()
+    friction = Number()
+    torsional_friction = Number()
+    rolling_friction = Number()
+    restitution = Number()
+    color = Color()
+
+
+class ObjectEntry(DocumentEntry):
+    """An object: its shape or asset, mass [kg] or density [kg/m^3], surface, and pose or placement."""
+
+    _model = scene.ObjectSpec
+    category = Text()
+    labels = Names()
+    fixed = Flag()
+    shape = ValueField[ShapeSpec | None, ShapeSpec | Values | None]()
+    asset = Text()
+    scale = Number()
+    visual = Text()
+    material = Text()
+    color = Color()
+    mass = Quantity()
+    density = Quantity()
+    friction = OptionalNumber()
+    restitution = OptionalNumber()
+    collision = ValueField[str, base.Collision | None]()
+    solid = ValueField[str, base.Solid | None]()
+    pose = EntryField(PoseEntry)
+    place = ValueField[scene.Place | None, scene.Place | Values | None]()
+    joints = ValueField[Mapping[str, object], Values | None]()
+    variant = Text()
+    variants = ValueField[Mapping[str, scene.VariantSpec], Values | None]()
+    origin = Origin()
+
+
+class RobotEntry(DocumentEntry):
+    """A robot: its model, base pose, and posture."""
+
+    _model = robot.RobotSpec
+    model = ValueField[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
+    pose = EntryField(PoseEntry)
+    joints = ValueField[str | Mapping[str, float], str | Mapping[str, float] | None]()
+    reach = OptionalNumber()
+    opening = OptionalNumber()
+
+
+class CameraEntry(DocumentEntry):
+    """A pinhole camera: size [px], focal lengths [px], principal point [px], pose."""
+
+    _model = scene.CameraSpec
+    size = ValueField[tuple[int, int], Sequence[int]]()
+    fx = Number()
+    fy = Number()
+    cx = OptionalNumber()
+    cy = OptionalNumber()
+    pose = EntryField(CameraPoseEntry)
+    mount = Text()
+
+
+class LightEntry(DocumentEntry):
+    """A light: distant, point or dome."""
+
+    _model = scene.LightSpec
+    type = ValueField[str, str]()
+    intensity = Number()
+    color = Color()
+    direction = Position()
+    xyz = Position()
+
+
+class SceneDocument(EditableDocument):
+    """A scene document: ``scene.objects["mug"].mass = 0.3``, then ``scene.save()``."""
+
+    _model, _kind = scene.SceneSpec, "scene/1"
+
+    name = ValueField[str, str]()
+    description = Text()
+    viewpoint = Text()
+    gravity = Position()
+    background = ValueField[scene.BackgroundSpec | None, scene.BackgroundSpec | Values | None]()
+    no_contact = ValueField[tuple[tuple[str, str], ...], Sequence[Sequence[str]] | None]()
+    allow = ValueField[Mapping[str, object], Values | None]()
+    origin = Origin()
+
+    @property
+    def objects(self) -> EntryMapping[ObjectEntry]:
+        """Objects by name."""
+        return EntryMapping(self, ("objects",), ObjectEntry)
+
+    @property
+    def materials(self) -> EntryMapping[MaterialEntry]:
+        """Materials by name."""
+        return EntryMapping(self, ("materials",), MaterialEntry)
+
+    @property
+    def robots(self) -> EntryMapping[RobotEntry]:
+        """Robots by name."""
+        return EntryMapping(self, ("robots",), RobotEntry)
+
+    @property
+    def cameras(self) -> EntryMapping[CameraEntry]:
+        """Cameras by name."""
+        return EntryMapping(self, ("cameras",), CameraEntry)
+
+    @property
+    def lights(self) -> EntryMapping[LightEntry]:
+        """Lights by name."""
+        return EntryMapping(self, ("lights",), LightEntry)
+
+    @property
+    def relations(self) -> ExpressionList:
+        """Predicates that should hold, such as ``OnTop(cup, desk)``: a list that is edited in place."""
+        return ExpressionList(self, ("relations",))
+
+    @relations.setter
+    def relations(self, texts: Sequence[str]) -> None:
+        ExpressionList(self, ("relations",))[:] = list(texts)
+
+    def lower(self) -> Scene:
+        """Return the scene with everything resolved; raises :class:`SpecError` with every finding."""
+        from simfoundry.assets.cache import Cache
+        from simfoundry.scene.lower import lower
+
+        return lower(self._checked(), Cache.default())
+
+    def compile(self, *targets: str, out: str | Path, force: bool = False) -> Build:
+        """Compile the scene into ``out/<target>`` for each target: a format, a simulator, or the path of a profile.
+
+        Raises :class:`OutputError` if a folder contains files that are not from a build, unless ``force``.
+        """
+        from simfoundry.api.build import build_scene
+
+        return build_scene(self.lower(), targets, Path(out), force)
+
+    def to_mujoco_spec(self) -> mujoco.MjSpec:
+        """Return the scene as MuJoCo's editable model, without writing a file."""
+        from simfoundry.api.build import mujoco_spec
+
+        return mujoco_spec(self.lower())
+
+    def to_mujoco(self) -> mujoco.MjModel:
+        """Return the scene as a compiled MuJoCo model, without writing a file."""
+        return self.to_mujoco_spec().compile()
+
+    def to_usd(self) -> Usd.Stage:
+        """Return the scene as a USD stage; its files live as long as the stage does."""
+        from simfoundry.api.build import usd_stage
+
+        return usd_stage(self.lower())
+
+    def open(self, engine: str = "mujoco") -> World:
+        """Return a simulator with the scene loaded: a context manager with ``step``, ``state`` and ``judge``."""
+        from simfoundry.worlds import open_world
+
+        return open_world(self.lower(), engine)
+
+    def judge(self, condition: str | None = None, state: SceneState | None = None) -> Verdict:
+        """Judge a condition, by default all relations of the scene, in a state, by default the scene's initial state.
+
+        Raises :class:`ExpressionError` for an invalid condition, and :class:`PredicateError` for one that the scene
+        cannot decide.
+        """
+        from simfoundry.predicates import Judge
+        from simfoundry.scene.state import SceneState
+
+        lowered = self.lower()
+        asked: object = condition if condition is not None else {"all": tuple(self.relations)}
+        return Judge(lowered)(asked, SceneState.initial(lowered) if state is None else state)
+
+
+IMPORTED = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
+"""File suffixes that frontends read."""
+
+
+def load(path: str | Path) -> SceneDocument:
+    """Load a scene: a document, or a USD, MJCF or URDF file, which is imported.
+
+    Raises :class:`SpecError` with every finding if the document has errors.
+    """
+    path = Path(path)
+    return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
+
+
+def is_compiled_stage(path: Path) -> bool:
+    """Return whether a file is a stage that was compiled from a document, which is stored in it."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
+        return False
+    from simfoundry.frontends.errors import refusing_faults
+    from simfoundry.frontends.usd.compiled.stage import StageError, carrier, open_stage
+
+    try:
+        with refusing_faults(path):
+            return carrier(open_stage(path)) is not None
+    except StageError:
+        return False  # the import reports why it cannot be read
+
+
+def _imported(path: Path) -> SceneDocument:
+    from simfoundry.frontends.importer import import_file
+
+    if is_compiled_stage(path):
+        document = SceneDocument.load(path)
+        document.mark_imported(path)
+        return document
+    if not path.is_file():
+        raise SimfoundryError(f"there is no file {path}")
+    folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
+    report = import_file(path, Path(folder.name) / f"{path.stem}.scene.yaml")
+    assert report.out is not None
+    document = SceneDocument.load(report.out)
+    document.mark_imported(path, Path(folder.name) / f"{path.stem}_files")
+    weakref.finalize(document, folder.cleanup)
+    return document

@@ -1,0 +1,56 @@
+"""Tasks edited in place, and their evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from simfoundry.api.document import EditableDocument
+from simfoundry.api.entries import DocumentEntry, EntryMapping, ValueField
+from simfoundry.api.scenes import Origin, SceneDocument, Text, Values
+from simfoundry.spec.models import task
+
+Goal = ValueField[Any, str | Values]
+
+
+class SubtaskEntry(DocumentEntry):
+    """A step of a task: its goal, its instruction, and its own start."""
+
+    _model = task.Subtask
+    goal = Goal()
+    instruction = Text()
+    start = ValueField[task.Start | None, task.Start | Values | None]()
+
+
+class TaskDocument(EditableDocument):
+    """A task document: ``task.horizon = 300``, then ``task.save()``."""
+
+    _model, _kind = task.TaskSpec, "task/1"
+
+    name = ValueField[str, str]()
+    description = Text()
+    scene = ValueField[str, str]()
+    instruction = ValueField[str, str]()
+    robots = ValueField[tuple[str, ...] | None, Sequence[str] | None]()
+    goal = Goal()
+    start = ValueField[task.Start, task.Start | Values | None]()
+    reset = ValueField[task.Reset, task.Reset | Values | None]()
+    control_hz = ValueField[float, float | None]()
+    horizon = ValueField[int, int | None]()
+    allow = ValueField[Mapping[str, object], Values | None]()
+    origin = Origin()
+
+    @property
+    def subtasks(self) -> EntryMapping[SubtaskEntry]:
+        """Steps by name, in order."""
+        return EntryMapping(self, ("subtasks",), SubtaskEntry)
+
+    def load_scene(self) -> SceneDocument:
+        """Load the scene that the task is for."""
+        return SceneDocument.load(self._checked().file(self.scene))
+
+
+def load_task(path: str | Path) -> TaskDocument:
+    """Load a task document; raises :class:`SpecError` with every finding if it has errors."""
+    return TaskDocument.load(path)

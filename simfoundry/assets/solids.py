@@ -1,0 +1,280 @@
+"""Solids of a profile: rotated about z (lathes) or extruded along z (prisms), as a closed mesh and as convex parts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.deviation import face_planes
+from simfoundry.assets.errors import MeshError, shape_crosses_itself
+
+if TYPE_CHECKING:
+    from shapely.geometry import Polygon
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+SIDES = 48
+"""Sides of the visual mesh: between two of them the radius is 0.2 % too small. The mass is that of the exact body."""
+
+SECTORS = 16
+"""Sectors of a ring that is split into convex parts; they protrude into it by at most 2 % of its radius."""
+
+LEAST_SIDES, MOST_SIDES = 12, 24
+"""Sides of a part that reaches the axis; between two of them the radius is 3.4 % (12) or 0.9 % (24) too small."""
+
+_SIDE_COUNTS = (*range(LEAST_SIDES, MOST_SIDES + 1), SECTORS)
+
+SAG = 0.0015
+"""Bands of the profile are joined while their hull stays within this distance of them [m]."""
+
+MOST_CORNERS = 64
+"""Largest number of corners of a part that every engine supports; see :mod:`simfoundry.assets.convex`."""
+
+
+def checked_profile(profile: Array) -> Array:
+    """Return a profile [m] of (radius, height), shape (n, 2), ordered from the top down along the outside.
+
+    Raises :class:`MeshError` unless it starts and ends on the axis and crosses neither itself nor the axis.
+    """
+    from shapely.geometry import Polygon
+
+    if profile[0, 0] != 0 or profile[-1, 0] != 0:
+        raise MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
+    if (profile[1:-1, 0] <= 0).any():
+        raise MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
+    polygon = Polygon(profile)
+    if not polygon.is_valid or polygon.area < 1e-8:
+        raise shape_crosses_itself("profile")
+    return profile[::-1].copy() if polygon.exterior.is_ccw else profile
+
+
+def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
+    """Return vertices and outward faces of the closed body of a checked profile."""
+    angle = np.arange(sides) * (2 * math.pi / sides)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [np.column_stack([radius * around, np.full(sides, height)]) for radius, height in profile[1:-1]]
+    vertices = np.concatenate([[[0.0, 0.0, profile[0, 1]]], *rings, [[0.0, 0.0, profile[-1, 1]]]])
+    return vertices, ring_faces(len(rings), sides)
+
+
+def ring_faces(rings: int, sides: int) -> Faces:
+    """Return outward faces over an apex, ``rings`` of ``sides`` vertices from the top down, and a second apex.
+
+    The rings run counter-clockwise seen from above; the vertices are numbered in this order.
+    """
+    here = np.arange(sides)
+    after = (here + 1) % sides
+    last = 1 + (rings - 1) * sides
+    faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
+    for ring in range(rings - 1):
+        upper, lower = 1 + ring * sides, 1 + (ring + 1) * sides
+        faces.append(np.column_stack([upper + here, lower + here, lower + after]))
+        faces.append(np.column_stack([upper + here, lower + after, upper + after]))
+    faces.append(np.column_stack([np.full(sides, last + sides), last + after, last + here]))
+    return np.concatenate(faces).astype(np.int32)
+
+
+def lathe_parts(profile: Array) -> list[Array]:
+    """Return the corner points of convex parts that form the body of a checked profile.
+
+    The profile is cut into bands at the heights of its corners; neighboring bands are joined while they stay nearly
+    convex. A band that reaches the axis is one part, a ring is cut into sectors.
+    """
+    return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
+
+
+def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
+    """Return the greatest distance [m] of the hulls of :func:`lathe_parts` from the body of revolution.
+
+    It is sampled, and accurate to a few percent: at the corners, edges and faces of the hulls where they protrude from
+    the body, and on the surface of the body where it protrudes from all hulls.
+    """
+    from shapely import Polygon, distance, points
+
+    body = Polygon(profile)
+    proud = 0.0
+    for corners, faces in parts:
+        a, b, c = (corners[faces[:, k]] for k in range(3))
+        samples = np.concatenate([corners, (a + b) / 2, (b + c) / 2, (a + c) / 2, (a + b + c) / 3])
+        radius = np.hypot(samples[:, 0], samples[:, 1])
+        proud = max(proud, float(distance(points(radius, samples[:, 2]), body).max()))
+    # The middle of a side is at 180 deg / n; the corners that a simplified part lost can be at any angle.
+    angles = np.array([*(math.pi / n for n in _SIDE_COUNTS), *np.linspace(0, 2 * math.pi, 96, endpoint=False)])
+    edges = np.concatenate([a + np.linspace(0, 1, 9)[:, None] * (b - a) for a, b in pairwise(profile)])
+    surface = _rotated(edges, angles)
+    # Points that are no farther outside of some part than `proud` do not change the result: nearly all of them.
+    planes = [face_planes(corners, faces) for corners, faces in parts]
+    for (corners, _), (normal, offset) in zip(parts, planes, strict=True):
+        near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
+        near[near] = (surface[near] @ normal.T - offset).max(axis=1) <= proud
+        surface = surface[~near]
+    outside = np.full(len(surface), np.inf)
+    for normal, offset in planes:
+        outside = np.minimum(outside, (surface @ normal.T - offset).max(axis=1))
+    return max(proud, float(outside.max(initial=0.0)))
+
+
+def _bands(profile: Array) -> list[Polygon]:
+    from shapely.geometry import Polygon, box
+
+    whole = Polygon(profile)
+    heights = np.unique(np.round(profile[:, 1], 6))
+    reach = float(profile[:, 0].max()) + 1.0
+    bands: list[Polygon] = []
+    for low, high in pairwise(heights):
+        bands += _polygons(whole.intersection(box(-1.0, low, reach, high)))
+    while (pair := next(_joinable(bands), None)) is not None:
+        first, second, union = pair
+        bands[first] = union
+        del bands[second]
+    return bands
+
+
+def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
+    """Yield pairs of bands that touch along a line and are nearly convex together, with their union."""
+    for first, second in combinations(range(len(bands)), 2):
+        if bands[first].intersection(bands[second]).length > 1e-6:
+            union = bands[first].union(bands[second])
+            if _fits(union):
+                yield first, second, union
+
+
+def _polygons(shape: Any) -> list[Polygon]:
+    parts = list(getattr(shape, "geoms", [shape]))
+    return [p for p in parts if p.geom_type == "Polygon" and p.area > 1e-10]
+
+
+def _fits(union: Any) -> bool:
+    """Return True if the union is one piece, nearly convex, and remains so when rotated about the axis."""
+    if union.geom_type != "Polygon" or not _nearly_convex(union):
+        return False
+    corners = np.array(union.exterior.coords)[:-1]
+    return not (corners[:, 0] < 1e-9).any() or _convex_of_revolution(corners)
+
+
+def _convex_of_revolution(corners: Array) -> bool:
+    """Return True if a band that reaches the axis is nearly convex when it is joined with its mirror image."""
+    from shapely.geometry import Polygon
+
+    mirrored = Polygon(corners).union(Polygon(corners * [-1.0, 1.0]))
+    return mirrored.geom_type == "Polygon" and _nearly_convex(mirrored)
+
+
+def _nearly_convex(polygon: Polygon) -> bool:
+    return bool(polygon.exterior.hausdorff_distance(polygon.convex_hull.exterior) <= SAG)
+
+
+def _turned(band: Array) -> list[Array]:
+    """Return the convex parts of one band, each as its corner points [m], shape (k, 3)."""
+    if (band[:, 0] < 1e-9).any() and _convex_of_revolution(band):
+        on_axis = int((band[:, 0] < 1e-9).sum())  # each of these stays one corner
+        sides = max(LEAST_SIDES, min(MOST_SIDES, (MOST_CORNERS - on_axis) // max(1, len(band) - on_axis)))
+        angles = np.arange(sides, dtype=np.float64) * (2 * math.pi / sides)
+        return [_swept(band, angles)]
+    step = 2 * math.pi / SECTORS
+    return [_swept(band, np.array([k * step, (k + 1) * step])) for k in range(SECTORS)]
+
+
+def _swept(band: Array, angles: Array) -> Array:
+    return np.unique(np.round(_rotated(band, angles), 9), axis=0)
+
+
+def _rotated(profile: Array, angles: Array) -> Array:
+    """Return the points of a profile at k angles [rad] about the axis, shape (k n, 3)."""
+    x, y = np.cos(angles)[:, None] * profile[:, 0], np.sin(angles)[:, None] * profile[:, 0]
+    return np.stack([x, y, np.broadcast_to(profile[:, 1], x.shape)], axis=-1).reshape(-1, 3)
+
+
+def checked_outline(outline: Array) -> Array:
+    """Return an outline [m], shape (n, 2), counter-clockwise and without superfluous corners.
+
+    Raises :class:`MeshError` if it crosses itself or has no area.
+    """
+    from shapely.geometry import Polygon
+
+    polygon = Polygon(outline)
+    if not polygon.is_valid or polygon.area < 1e-8:
+        raise shape_crosses_itself("outline")
+    return _without_straights(outline if polygon.exterior.is_ccw else outline[::-1])
+
+
+def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
+    """Return vertices and faces of the closed prism over a counter-clockwise outline, centerd in height."""
+    n = len(outline)
+    low = np.column_stack([outline, np.full(n, -height / 2)])
+    high = np.column_stack([outline, np.full(n, height / 2)])
+    caps = _triangles(outline)
+    k = np.arange(n)
+    following = (k + 1) % n
+    sides = np.concatenate([np.column_stack([k, following, following + n]), np.column_stack([k, following + n, k + n])])
+    return np.concatenate([low, high]), np.concatenate([caps[:, ::-1], caps + n, sides]).astype(np.int32)
+
+
+def convex_outlines(outline: Array) -> list[Array]:
+    """Return convex polygons that tile a counter-clockwise outline: triangles, merged as long as they stay convex.
+
+    One pass over the edges suffices (Hertel and Mehlhorn 1983).
+    """
+    polygons = {k: [int(v) for v in t] for k, t in enumerate(_triangles(outline))}
+    owner = {(p[i - 1], p[i]): k for k, p in polygons.items() for i in range(3)}
+    for start, end in sorted(edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner):
+        kept, gone = owner[start, end], owner[end, start]
+        union = _joined(polygons[kept], polygons[gone], start, end)
+        if _is_convex(outline[union]):
+            moved = polygons[gone]
+            owner |= {(moved[i - 1], moved[i]): kept for i in range(len(moved))}
+            polygons[kept] = union
+            del polygons[gone]
+    return [_without_straights(outline[p]) for p in polygons.values()]
+
+
+def _triangles(outline: Array) -> Faces:
+    """Return counter-clockwise triangles that tile an outline, shape (n - 2, 3)."""
+    import mapbox_earcut
+
+    rings = np.array([len(outline)], dtype=np.uint32)
+    found = mapbox_earcut.triangulate_float64(np.array(outline, order="C"), rings)
+    triangles = np.array(found, dtype=np.int32).reshape(-1, 3)
+    a, b, c = (outline[triangles[:, k]] for k in range(3))
+    clockwise = _cross(b - a, c - a) < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    return triangles
+
+
+def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
+    """Return the union of two counter-clockwise polygons that share the edge from ``start`` to ``end`` in ``a``."""
+    i, j = a.index(end), b.index(start)
+    around_a = a[i:] + a[:i]  # from the end of the edge to its start
+    around_b = b[j:] + b[:j]  # from the start of the edge to its end
+    return around_a + around_b[1:-1]
+
+
+def _without_straights(points: Array) -> Array:
+    """Return a polygon without repeated corners and corners on a straight line, which would give flat triangles."""
+    corners = [p for k, p in enumerate(points) if not np.array_equal(p, points[k - 1])]
+    k = 0
+    while k < len(corners) and len(corners) > 3:
+        before, here, after = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+        (ax, ay), (bx, by) = here - before, after - here
+        if abs(ax * by - ay * bx) <= 1e-12 * (abs(ax) + abs(ay)) * (abs(bx) + abs(by)):
+            del corners[k]
+            k = max(0, k - 1)
+        else:
+            k += 1
+    return np.array(corners)
+
+
+def _is_convex(points: Array) -> bool:
+    edges = np.roll(points, -1, axis=0) - points
+    return bool((_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all())
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the z component of the cross products of plane vectors, shape (n, 2)."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -1,0 +1,249 @@
+"""Shapes and their materials: primitives as USD primitives, meshes by reference to one layer beside the stage.
+
+Visual materials are UsdPreviewSurface; contact materials have the attributes of UsdPhysics, PhysX and Newton. Arrays
+are in layers of USD's binary format, which takes a third of the size of text and is memory-mapped when read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import tempfile
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.backends.artifact import number, rounded
+from simfoundry.backends.usd.prims import Asset, Prim, vec3
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.model import Collider, Visual
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+
+def new_crate(default_prim: str) -> Sdf.Layer:
+    """Return an empty layer in meters with z up, to fill and pass to :func:`crate_bytes`."""
+    from pxr import Sdf
+
+    layer = Sdf.Layer.CreateAnonymous(".usdc")
+    root = layer.pseudoRoot
+    root.SetInfo("metersPerUnit", 1.0)
+    root.SetInfo("upAxis", "Z")
+    layer.defaultPrim = default_prim
+    return layer
+
+
+def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, uniform: bool = False) -> Sdf.AttributeSpec:
+    """Author an attribute of a prim in a crate layer."""
+    from pxr import Sdf
+
+    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    made = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Find(type_name), variability)
+    made.default = value
+    return made
+
+
+def crate_bytes(layer: Sdf.Layer) -> bytes:
+    """Return the layer as a crate; equal layers give equal bytes in every process and Python version.
+
+    USD can only write crates to files. It writes version 0.8.0, which every release since 2020 reads.
+    """
+    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
+        path = Path(folder) / "layer.usdc"
+        layer.Export(str(path))
+        return path.read_bytes()
+
+
+MESHES = "assets/meshes.usdc"
+"""The path of the mesh layer; a single layer, because separate files cost more than the meshes themselves."""
+
+
+def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:
+    """Define ``geometry`` below ``parent``, posed in its link.
+
+    A box is a scaled unit cube; a mesh is a reference, see :func:`mesh_layer`.
+    """
+    prim = parent.define(name, "Cube" if isinstance(geometry, Box) else type(geometry).__name__, schemas)
+    prim.place(X_LG, scale=geometry.size.tolist() if isinstance(geometry, Box) else None)
+    match geometry:
+        case Mesh():
+            prim.references.append(f"@./{MESHES}@</{_LIBRARY}/{_mesh_name(geometry)}>")
+            return prim
+        case Box():
+            prim.attribute("size", "double", 1.0)
+            half = [0.5, 0.5, 0.5]
+        case Sphere(radius=radius):
+            half = [radius] * 3
+        case Cylinder(radius=radius, height=height):
+            half = [radius, radius, height / 2]
+        case Capsule(radius=radius, height=height):
+            half = [radius, radius, height / 2 + radius]
+    if not isinstance(geometry, Box):
+        prim.attribute("radius", "double", rounded(geometry.radius))
+    if isinstance(geometry, Cylinder | Capsule):
+        prim.attribute("axis", "token", "Z", uniform=True)
+        prim.attribute("height", "double", rounded(geometry.height))
+    prim.attribute("extent", "float3[]", [tuple([-v for v in half]), tuple(half)])
+    return prim
+
+
+_LIBRARY = "Meshes"
+
+
+def _mesh_name(mesh: Mesh) -> str:
+    return f"mesh_{mesh.digest}"
+
+
+def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
+    """Return a layer of meshes named by content, without duplicates and sorted by name.
+
+    Meshes are in single precision and have texture coordinates if the source has them. They are defined as classes, so
+    a stage that opens only this layer shows nothing; the prim that refers to a class makes it visible.
+    """
+    from pxr import Sdf
+
+    layer = new_crate(_LIBRARY)
+    with Sdf.ChangeBlock():
+        library = Sdf.PrimSpec(layer, _LIBRARY, Sdf.SpecifierClass, "Scope")
+        for name, mesh in sorted({_mesh_name(mesh): mesh for mesh in meshes}.items()):
+            _define_mesh(Sdf.PrimSpec(library, name, Sdf.SpecifierDef, "Mesh"), mesh)
+    return crate_bytes(layer)
+
+
+def _define_mesh(prim: Sdf.PrimSpec, mesh: Mesh) -> None:
+    from pxr import Vt
+
+    points = np.asarray(mesh.vertices, dtype=np.float32)
+    author(prim, "points", "point3f[]", Vt.Vec3fArray.FromNumpy(points))
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    author(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(bounds))
+    indices = np.ascontiguousarray(mesh.faces, dtype=np.int32).ravel()
+    author(prim, "faceVertexIndices", "int[]", Vt.IntArray.FromNumpy(indices))
+    counts = np.full(len(mesh.faces), 3, dtype=np.int32)
+    author(prim, "faceVertexCounts", "int[]", Vt.IntArray.FromNumpy(counts))
+    normals = Vt.Vec3fArray.FromNumpy(_face_normals(points, mesh.faces))
+    author(prim, "normals", "normal3f[]", normals).SetInfo("interpolation", "uniform")
+    author(prim, "subdivisionScheme", "token", "none", uniform=True)
+    if mesh.uv is not None:
+        uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
+        author(prim, "primvars:st", "texCoord2f[]", Vt.Vec2fArray.FromNumpy(uv)).SetInfo("interpolation", "vertex")
+
+
+def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Return the unit normals of triangles, shape (m, 3); degenerate triangles get an upward normal."""
+    a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = lengths[:, 0] == 0
+    normals[flat], lengths[flat] = [0.0, 0.0, 1.0], 1.0
+    return np.asarray((normals / lengths).round(7) + 0.0, dtype=np.float32)
+
+
+def texture_of(visual: Visual) -> bytes | None:
+    """Return the texture of ``visual`` if its mesh has texture coordinates, otherwise None."""
+    geometry = visual.geometry
+    return geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
+
+
+def texture_path(texture: bytes) -> str:
+    """Return the path of a texture in the artifact, named by its content."""
+    return f"assets/{hashlib.sha256(texture).hexdigest()[:16]}.png"
+
+
+def define_visual(parent: Prim, looks: Prim, visual: Visual) -> None:
+    """Define ``visual`` below ``parent``, with its material in the scope ``looks``."""
+    prim = define_geometry(parent, visual.name, visual.geometry, visual.X_LG, ["MaterialBindingAPI"])
+    prim.relate("material:binding", [visual_material(looks, visual)])
+
+
+def visual_material(scope: Prim, visual: Visual) -> Prim:
+    """Return the material of ``visual``; visuals of equal appearance share one, named by its content."""
+    texture = texture_of(visual)
+    path = "" if texture is None else texture_path(texture)
+    rgba = tuple([rounded(v) for v in visual.rgba.tolist()])
+    name = _look_name(path, rgba)
+    if name not in scope.children:
+        _preview_material(scope.define(name, "Material"), np.array(rgba), path)
+    return scope.children[name]
+
+
+@lru_cache(maxsize=256)
+def _look_name(path: str, rgba: tuple[float, ...]) -> str:
+    return f"look_{hashlib.sha256(f'{path} {list(rgba)}'.encode()).hexdigest()[:10]}"
+
+
+def linear_from_srgb(rgb: Array) -> Array:
+    """Return the scene-linear color, which UsdPreviewSurface expects, of an sRGB color as used by MuJoCo and URDF."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
+    surface = material.define("Surface", "Shader")
+    surface.attribute("info:id", "token", "UsdPreviewSurface", uniform=True)
+    surface.attribute("inputs:metallic", "float", 0.0)
+    surface.attribute("inputs:opacity", "float", rounded(rgba[3]))
+    surface.attribute("inputs:roughness", "float", 0.5)
+    surface.attribute("outputs:surface", "token", None)
+    color = linear_from_srgb(rgba[:3])
+    if texture:
+        image = _texture(material, color, texture)
+        surface.connect("inputs:diffuseColor", "color3f", f"{image.path}.outputs:rgb")
+    else:
+        surface.attribute("inputs:diffuseColor", "color3f", vec3(color))
+    material.connect("outputs:surface", "token", f"{surface.path}.outputs:surface")
+
+
+def _texture(material: Prim, color: Array, texture: str) -> Prim:
+    """Define the texture shader, multiplied by ``color``; it reads its coordinates from the primvar ``st``."""
+    reader = material.define("Coordinates", "Shader")
+    reader.attribute("info:id", "token", "UsdPrimvarReader_float2", uniform=True)
+    reader.attribute("inputs:varname", "string", "st")
+    reader.attribute("outputs:result", "float2", None)
+    image = material.define("Texture", "Shader")
+    image.attribute("info:id", "token", "UsdUVTexture", uniform=True)
+    image.attribute("inputs:file", "asset", Asset(f"./{texture}"))
+    image.attribute("inputs:scale", "float4", (*vec3(color), 1.0))
+    image.attribute("inputs:sourceColorSpace", "token", "sRGB")
+    image.connect("inputs:st", "float2", f"{reader.path}.outputs:result")
+    image.attribute("inputs:wrapS", "token", "repeat")
+    image.attribute("inputs:wrapT", "token", "repeat")
+    image.attribute("outputs:rgb", "float3", None)
+    return image
+
+
+def contact_material(scope: Prim, collider: Collider) -> Prim:
+    """Return the contact material of ``collider``: √μ and √e with PhysX's ``multiply``, which gives geometric means.
+
+    ``simfoundry:friction`` and ``simfoundry:restitution`` hold the coefficients of the surface itself.
+    """
+    friction, restitution = number(collider.friction), number(collider.restitution)
+    name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"
+    spinning, rolling = number(collider.torsional_friction), number(collider.rolling_friction)
+    resists = collider.torsional_friction > 0 or collider.rolling_friction > 0
+    if resists:
+        name += f"_spinning_{_word(spinning)}_rolling_{_word(rolling)}"
+    if name not in scope.children:
+        prim = scope.define(name, "Material", ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
+        root = rounded(math.sqrt(collider.friction))
+        prim.attribute("physics:dynamicFriction", "float", root)
+        prim.attribute("physics:restitution", "float", rounded(math.sqrt(collider.restitution)))
+        prim.attribute("physics:staticFriction", "float", root)
+        prim.attribute("physxMaterial:frictionCombineMode", "token", "multiply", uniform=True)
+        prim.attribute("physxMaterial:restitutionCombineMode", "token", "multiply", uniform=True)
+        prim.attribute("simfoundry:friction", "double", float(friction))
+        prim.attribute("simfoundry:restitution", "double", float(restitution))
+        if resists:
+            prim.schemas += ["NewtonMaterialAPI"]
+            prim.attribute("newton:rollingFriction", "float", float(rolling))
+            prim.attribute("newton:torsionalFriction", "float", float(spinning))
+    return scope.children[name]
+
+
+def _word(text: str) -> str:
+    return text.replace(".", "_").replace("-", "m").replace("+", "")

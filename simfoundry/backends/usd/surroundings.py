@@ -1,0 +1,109 @@
+"""Surroundings of the objects: cameras, lights, and a background of meshes or of Gaussians in a separate layer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from simfoundry.backends.artifact import rounded
+from simfoundry.backends.usd.prims import Prim, vec3
+from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, linear_from_srgb, new_crate
+from simfoundry.geometry.frames import Pose
+from simfoundry.scene.model import Background, Camera, Light, LightType, Splat
+
+SPLAT = "assets/background.usdc"
+"""The path of the splat's layer in the artifact."""
+
+_REACH = 3.0
+"""Number of standard deviations of a Gaussian that count as its extent."""
+
+
+def define_background(world: Prim, looks: Prim, background: Background) -> None:
+    """Define ``background`` below ``/World/Background``."""
+    prim = world.define("Background", "Xform")
+    prim.place(background.X_WB)
+    for visual in background.visuals:
+        define_visual(prim, looks, visual)
+    if background.splat is not None:
+        field = prim.define("splat", "ParticleField3DGaussianSplat")
+        field.references.append(f"@./{SPLAT}@")
+
+
+def splat_layer(splat: Splat) -> bytes:
+    """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics by order."""
+    from pxr import Sdf, Vt
+
+    layer = new_crate("splat")
+    with Sdf.ChangeBlock():
+        prim = Sdf.PrimSpec(layer, "splat", Sdf.SpecifierDef, "ParticleField3DGaussianSplat")
+        reach = _REACH * splat.scales.max(axis=1, keepdims=True)
+        corners = np.stack([(splat.positions - reach).min(axis=0), (splat.positions + reach).max(axis=0)])
+        author(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(corners))
+        author(prim, "positions", "point3f[]", Vt.Vec3fArray.FromNumpy(splat.positions))
+        author(prim, "scales", "float3[]", Vt.Vec3fArray.FromNumpy(splat.scales))
+        xyzw = np.ascontiguousarray(splat.rotations[:, [1, 2, 3, 0]])
+        author(prim, "orientations", "quatf[]", Vt.QuatfArray.FromNumpy(xyzw))
+        author(prim, "opacities", "float[]", Vt.FloatArray.FromNumpy(splat.opacities))
+        author(prim, "radiance:sphericalHarmonicsDegree", "int", splat.degree, uniform=True)
+        colors = np.ascontiguousarray(splat.harmonics.reshape(-1, 3))
+        author(prim, "radiance:sphericalHarmonicsCoefficients", "float3[]", Vt.Vec3fArray.FromNumpy(colors))
+    return crate_bytes(layer)
+
+
+# Focal length and apertures share a unit, and only their ratios matter. At 1/32 per pixel the values resemble a real
+# lens (640 px become 20 mm), and a power of two preserves all digits of the width.
+PIXEL = 1.0 / 32.0
+
+# A scene counts pixels from the center of the first one, as OpenCV does; an aperture starts at the edge of that pixel.
+HALF_PIXEL = 0.5
+
+#: From OpenCV's camera axes (x right, y down, z forward) to USD's (x right, y up, looking along -z).
+X_CU = Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+
+
+def define_camera(scope: Prim, camera: Camera) -> None:
+    """Define ``camera`` with exact intrinsics; the image size in pixels is stored as a custom attribute.
+
+    USD has a single focal length, so unequal ``fx`` and ``fy`` become non-square pixels with a stretched vertical
+    aperture.
+    """
+    prim = scope.define(camera.name, "Camera")
+    right = camera.width / 2 - (camera.cx + HALF_PIXEL)
+    up = camera.cy + HALF_PIXEL - camera.height / 2
+    tall = PIXEL * camera.fx / camera.fy
+    prim.attribute("clippingRange", "float2", (0.01, 1000.0))
+    prim.attribute("focalLength", "float", rounded(camera.fx * PIXEL))
+    prim.attribute("horizontalAperture", "float", rounded(camera.width * PIXEL))
+    prim.attribute("horizontalApertureOffset", "float", rounded(right * PIXEL))
+    prim.attribute("projection", "token", "perspective")
+    prim.attribute("simfoundry:resolution", "int2", (camera.width, camera.height), uniform=True)
+    prim.attribute("verticalAperture", "float", rounded(camera.height * tall))
+    prim.attribute("verticalApertureOffset", "float", rounded(up * tall))
+    prim.place(camera.X_WC @ X_CU)
+
+
+# A white diffuse surface has radiance 1 at irradiance pi. A normalized distant light states its irradiance; a
+# normalized sphere gives intensity / (4 d^2) at distance d, here 1 m; a dome states its radiance.
+FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
+_POINT_RADIUS = 0.02
+
+
+def define_light(scope: Prim, light: Light) -> None:
+    """Define ``light``; intensity 1 makes a white surface facing it appear white (for a point light, at 1 m)."""
+    match light.type:
+        case LightType.DISTANT:
+            prim = scope.define(light.name, "DistantLight")
+            prim.attribute("inputs:angle", "float", 0.53)
+        case LightType.POINT:
+            prim = scope.define(light.name, "SphereLight")
+            prim.attribute("extent", "float3[]", [(-_POINT_RADIUS,) * 3, (_POINT_RADIUS,) * 3])
+            prim.attribute("inputs:radius", "float", _POINT_RADIUS)
+            prim.attribute("treatAsPoint", "bool", True)
+        case LightType.DOME:
+            prim = scope.define(light.name, "DomeLight")
+    prim.attribute("inputs:color", "color3f", vec3(linear_from_srgb(light.rgb)))
+    prim.attribute("inputs:intensity", "float", rounded(light.intensity * FULL[light.type]))
+    if light.type is not LightType.DOME:
+        prim.attribute("inputs:normalize", "bool", True)
+    prim.place(light.X_WL)

@@ -1,0 +1,280 @@
+"""Commands that compare and combine versions of documents: ``diff``, ``log``, ``merge``."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from simfoundry.cli.options import NEW_FILE
+from simfoundry.cli.output import (
+    CANNOT,
+    DONE,
+    FINDINGS,
+    CannotError,
+    plural,
+    print_document,
+    print_findings,
+    print_json,
+    protect_output,
+    subcommand,
+    write_in_place,
+    write_text,
+)
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
+
+if TYPE_CHECKING:
+    from simfoundry.spec.change.compare import DocumentComparison
+    from simfoundry.spec.change.git.arguments import HistoryEntry
+    from simfoundry.spec.change.merge.texts import MergedText
+
+
+@subcommand(as_json=False, force=True)
+@click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
+@click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
+@click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
+@click.option("--exit-code", is_flag=True, help="Exit with code 1 if there is a difference.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
+@click.option("--git", "driver", is_flag=True, help="Act as git's diff driver.")
+def diff_command(
+    what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
+) -> int | None:
+    """Show the changes in a document in terms of the scene.
+
+    Pass two files, or revisions of one file: `HEAD~1 desk.scene.yaml` compares that revision with the working file, and
+    `main..feature desk.scene.yaml` compares two revisions. The default revision is HEAD. Without a file, every document
+    that differs is shown.
+    """
+    import tempfile
+
+    from simfoundry.spec.change.git.arguments import open_pair, pairs
+    from simfoundry.spec.change.git.driver import driver_lines
+
+    if driver:
+        for line in driver_lines(what, Path.cwd()):
+            click.echo(printable(line))
+        return DONE
+
+    if (form == "html") != (out is not None):
+        raise CannotError("an HTML page needs an output file; give `--format html` and `-o PAGE.html` together")
+    protect_output(out, map(Path, what), force)
+    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
+        found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
+        if out is not None:
+            from simfoundry.reports.comparison import page
+
+            write_text(out, page(found))
+    if form == "json":
+        print_json({"documents": [plain(c) for c in found]})
+    elif form == "text":
+        _print_comparisons(found)
+    else:
+        click.echo(f"{out}  ({len(found)} document{'s' if len(found) != 1 else ''})")
+    findings = [d for c in found for d in c.findings]
+    if findings and form != "json":
+        texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
+        click.echo(render(findings, texts=texts), err=True)
+    if any(c.obstacle for c in found):
+        return CANNOT
+    return FINDINGS if exit_code and any(c.differs for c in found) else DONE
+
+
+def _print_comparisons(found: list[DocumentComparison]) -> None:
+    for comparison in found:
+        if len(found) > 1:
+            click.echo(printable(comparison.name))
+        for line in comparison.lines():
+            click.echo(("  " if len(found) > 1 else "") + printable(line))
+    if not found:
+        click.echo("no document differs")
+
+
+def plain(comparison: DocumentComparison) -> dict[str, Any]:
+    """Return the changes as plain data."""
+    from dataclasses import asdict
+
+    from simfoundry.spec.change.diff.changes import to_json
+    from simfoundry.spec.change.diff.words import summary
+
+    return {
+        "name": comparison.name,
+        "old": comparison.old and comparison.old.label,
+        "new": comparison.new and comparison.new.label,
+        "obstacle": comparison.obstacle or None,
+        "summary": summary(comparison.entries),
+        "entries": [asdict(e) for e in comparison.entries],
+        "changes": [to_json(c) for c in comparison.changes],
+        "findings": [d.to_json() for d in comparison.findings],
+    }
+
+
+@subcommand()
+@click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
+@click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
+@click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
+def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
+    """Show what each commit changed in a document, in terms of the scene, latest first.
+
+    Changes in documents that it extends or refers to are included, each as of its commit. The history is that of HEAD,
+    of a revision, or of a range such as `main..feature`.
+    """
+    from simfoundry.spec.change.git.arguments import document_history
+
+    steps = islice(document_history(what, verbose), max_count)
+    if as_json:
+        print_json({"commits": [_plain_commit(step) for step in steps]})
+        return
+    about = None
+    for step in steps:
+        about = step.commit
+        click.echo(printable(f"{about.id[:10]} {about.date[:10]} {about.author}: {about.subject}"))
+        for line in step.comparison.lines():
+            click.echo(f"  {printable(line)}")
+    if about is None:
+        raise CannotError(f"no commit in this history changes {what[-1]}")
+
+
+def _plain_commit(step: HistoryEntry) -> dict[str, Any]:
+    about = step.commit
+    head = {"commit": about.id, "date": about.date, "author": about.author, "subject": about.subject}
+    return {**head, **plain(step.comparison)}
+
+
+@subcommand(force=True)
+@click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
+@click.option(
+    "--resolve", "side", type=click.Choice(["ours", "theirs"]),
+    help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...",
+)  # fmt: skip
+@click.option("--git", "driver", is_flag=True, help="Act as git's merge driver: --git %O %A %B %L %P.")
+def merge_command(
+    args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, force: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Merge two edits of a document by meaning, or resolve the conflicts of an earlier merge.
+
+    Edits of different values never conflict, regardless of their lines. If both sides changed one value differently,
+    the document keeps ours, lists the value under `conflicts`, and cannot be compiled until the conflict is resolved:
+    correct the value and remove the entry, or choose a side with --resolve, for all conflicts or for the given paths.
+    The exit code is 1 if there is a conflict, or if the merged document has an error that neither side has.
+    """
+    if driver:
+        return _drive_merge(args)
+    if side is not None:
+        return _resolve(side, args, out, force, as_json)
+    if len(args) != 3:
+        raise CannotError("pass three files: the common base, ours and theirs")
+    from simfoundry.spec.change.merge.conflict import dotted
+    from simfoundry.spec.change.merge.texts import merge_texts, new_errors
+
+    files = [Path(file) for file in args]
+    protect_output(out, files, force)
+    texts = [_text(path) for path in files]
+    merged = merge_texts(*texts)
+    changed = out or files[1]
+    errors = new_errors(changed, merged.text, *texts[1:])
+    if out is not None:
+        write_in_place(out, merged.text)
+    if as_json:
+        conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
+        findings = [d.to_json() for d in errors]
+        print_json({"out": out and str(out), "conflicts": conflicts, "findings": findings, "text": merged.text})
+    else:
+        if out is None:
+            print_document(merged.text)
+        else:
+            click.echo(f"wrote {out}: {plural(len(merged.conflicts), 'conflict')}")
+        _print_merge(merged, errors, changed)
+    return FINDINGS if merged.conflicts or errors else DONE
+
+
+def _drive_merge(args: Sequence[str]) -> int:
+    """Merge the second file in place, as git expects; files that are not documents are merged line by line."""
+    if len(args) != 5:
+        raise CannotError(
+            f"git gives its merge driver 5 arguments, not {len(args)}; `simfoundry git install` sets it up"
+        )
+    base, ours, theirs = map(Path, args[:3])
+    name = args[4]
+    try:
+        from simfoundry.spec.change.merge.texts import merge_texts, new_errors
+
+        texts = [path.read_bytes().decode("utf-8") for path in (base, ours, theirs)]
+        merged = merge_texts(*texts)
+        errors = new_errors(Path(name), merged.text, *texts[1:])
+        write_in_place(ours, merged.text)
+    except Exception as error:  # on any failure, fall back to what git alone would have done
+        reason = str(error) or type(error).__name__
+        click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
+        return _by_lines(args)
+    if merged.conflicts or errors:
+        click.echo(printable(f"{name}: {plural(len(merged.conflicts), 'conflict')}"), err=True)
+        _print_merge(merged, errors, Path(name))
+    return FINDINGS if merged.conflicts or errors else DONE
+
+
+def _by_lines(args: Sequence[str]) -> int:
+    """Merge three texts line by line with git, into the second; if that fails, ours stays and git keeps theirs."""
+    base, ours, theirs, size, _ = args
+    labels = [word for name in ("ours", "base", "theirs") for word in ("-L", name)]
+    size_option = [f"--marker-size={size}"] if size.isdigit() and int(size) > 0 else []
+    done = subprocess.run(["git", "merge-file", *labels, *size_option, "--", ours, base, theirs], check=False)
+    return FINDINGS if done.returncode else DONE
+
+
+def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
+    from simfoundry.spec.change.merge.texts import resolve
+    from simfoundry.spec.load import load
+    from simfoundry.spec.models.kinds import KINDS, model_of
+    from simfoundry.spec.yaml.nodes import YamlError
+    from simfoundry.spec.yaml.text import read
+    from simfoundry.spec.yaml.tree import read_tree
+    from simfoundry.spec.yaml.write import write_tree
+
+    if not args:
+        raise CannotError("pass the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
+    file = Path(args[0])
+    if out is not None and out.resolve() != file.resolve():  # resolving in place may overwrite the file
+        protect_output(out, force=force)
+    try:
+        document = read(file)
+    except YamlError as error:
+        raise SpecError([error.diagnostic(str(file))]) from None
+    kind = document.data.get("simfoundry") if isinstance(document.data, dict) else None
+    model = model_of(kind) if kind in KINDS else None
+    tree, decided = resolve(read_tree(document), model, side, args[1:])
+    text = write_tree(tree, model)
+    write_in_place(out or file, text)
+    findings = load(out or file).all_findings()
+    if as_json:
+        left = tree.data.get("conflicts", {})
+        findings_ = [d.to_json() for d in findings]
+        print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
+    else:
+        for key in decided:
+            click.echo(printable(f"{key}: took {side}"))
+        print_findings(findings)
+    return FINDINGS if any(d.severity == "error" for d in findings) else DONE
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError:
+        raise CannotError(f"{path} is not UTF-8 text") from None
+
+
+def _print_merge(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
+    """Print each conflict on a line, the errors, and the next step."""
+    for conflict in merged.conflicts:
+        click.echo(printable(str(conflict)), err=True)
+    if errors:
+        click.echo(render(errors, texts={str(name): merged.text}), err=True)
+    if merged.conflicts:
+        choose = f"or choose a side: simfoundry merge --resolve ours {name}"
+        click.echo(printable(f"edit {name} and remove its `conflicts`, {choose}"), err=True)

@@ -1,0 +1,294 @@
+"""Commands for other formats: ``import``, ``export``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.api.scenes import is_compiled_stage
+from simfoundry.cli.options import ANY, FILE, NEW_FILE, pairs
+from simfoundry.cli.output import (
+    CANNOT,
+    DONE,
+    FINDINGS,
+    CannotError,
+    print_document,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+    write_text,
+)
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import SpecError
+
+if TYPE_CHECKING:
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import ImportReport
+
+HEADINGS = {
+    "dropped": ("element was left out", "elements were left out"),
+    "changed": ("element is expressed differently", "elements are expressed differently"),
+    "assumed": ("value was assumed", "values were assumed"),
+}
+
+
+@subcommand()
+@click.argument("files", nargs=-1, required=True, type=ANY)
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path),
+    help="Write NAME.scene.yaml or NAME.asset.yaml, or into this folder. Default: named after the file.",
+)  # fmt: skip
+@click.option(
+    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
+    help="Resolve `package://NAME/…` in this folder; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--scene", type=FILE,
+    help="Scene of the task to import.",
+)  # fmt: skip
+@click.option(
+    "--onto", type=FILE,
+    help="Apply the edits of a compiled stage to this document, keeping its comments.",
+)  # fmt: skip
+@click.option(
+    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
+    help="Bind a name of a BDDL task to an object of --scene; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
+    help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
+    "Default: 1000, as in simulators.",
+)  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
+def import_command(
+    files: tuple[Path, ...], out: Path | None, packages: dict[str, str], scene: Path | None, onto: Path | None,
+    bound: dict[str, str], density: float | None, force: bool, strict: bool, as_json: bool,
+) -> int:  # fmt: skip
+    """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
+
+    A stage that `compile` wrote becomes its own document again, with the edits made to the stage: in OUT if that
+    exists, or in the document given by --onto.
+
+    Meshes go to NAME_files beside the document. Every difference between the file and the document is reported. Nothing
+    is written for a file that is rejected; the exit code is then 2.
+    """
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import import_file
+
+    if onto is not None or (len(files) == 1 and is_compiled_stage(files[0])):
+        if len(files) > 1:
+            raise CannotError("--onto takes one stage")
+        return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
+    for name, path in packages.items():
+        if not Path(path).is_dir():
+            raise CannotError(f"`--package {name}={path}` does not name a folder")
+    folders = {name: Path(path) for name, path in packages.items()}
+    options = ImportOptions(folders, force, scene, bound, density)
+    if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
+        with progress_bar(as_json) as progress:
+            progress(files[0].name, 0.0)
+            report = import_file(files[0], out or Path(_default_name(files[0])), options)
+        if as_json:
+            print_json(report.to_json())
+        else:
+            click.echo(_described(report))
+        return FINDINGS if strict and report.notes else DONE
+    if out is None or out.name.endswith(".yaml"):
+        raise CannotError("several files need an output folder; pass `-o FOLDER`")
+    return _import_all(files, out, options, strict, as_json)
+
+
+def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
+    from simfoundry.frontends.usd.compiled.loading import import_stage
+
+    before = out.read_bytes() if out.is_file() else None
+    imported = import_stage(path, out, onto, force)
+    changed = before != out.read_bytes()
+    notes = [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes]
+    if as_json:
+        report = {"source": str(path), "out": str(out), "changed": changed}
+        print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
+    else:
+        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "nothing to change"))
+        for note in imported.notes:
+            click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
+        for disputed in imported.disputed:
+            click.echo(f"  edited in the document as well: {disputed}; the values of the stage were kept")
+    return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
+
+
+def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
+    from simfoundry.frontends.registry import SUFFIXES
+
+    jobs = list(_jobs(files, out))
+    if not jobs:
+        raise CannotError(
+            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(SUFFIXES)} are read"
+        )
+    reports = []
+    with progress_bar(as_json) as progress:
+        for done, (source, target) in enumerate(jobs):
+            progress(source.name, done / len(jobs))
+            reports.append(_import_one(source, target, options))
+    refused = [report for report in reports if report.error]
+    if as_json:
+        print_json({"files": [report.to_json() for report in reports]})
+    else:
+        click.echo(_table(reports))
+    if refused:
+        return CANNOT
+    return FINDINGS if strict and any(report.notes for report in reports) else DONE
+
+
+def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
+    """Return the report on one file of many; an error in one file does not stop the others."""
+    from simfoundry.frontends.draft import ImportNote, ImportNoteKind
+    from simfoundry.frontends.importer import ImportReport, import_file
+    from simfoundry.frontends.usd.compiled.loading import import_stage
+
+    try:
+        if not is_compiled_stage(source):
+            return import_file(source, target, options)
+        imported = import_stage(source, target, None, options.force)
+    except (SimfoundryError, SpecError, OSError) as error:
+        return ImportReport(str(source), None, error=str(error))
+    notes = tuple(ImportNote(ImportNoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
+    return ImportReport(str(source), str(target), "a compiled stage", notes=notes)
+
+
+def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
+    """Return each file with the path of its document; the folder structure is preserved."""
+    from simfoundry.frontends.registry import SUFFIXES
+
+    for path in files:
+        if path.is_file():
+            yield path, out / _default_name(path)
+            continue
+        for source in sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()):
+            if _is_model(source):
+                yield source, out / source.relative_to(path).parent / _default_name(source)
+
+
+def _is_model(path: Path) -> bool:
+    """Return whether to import a file found in a folder: not package manifests or files that others include."""
+    if path.suffix.lower() not in (".xml", ".json"):
+        return True
+    with path.open("rb") as stream:
+        head = stream.read(20_000)
+    if path.suffix.lower() == ".json":
+        return b"objects_info" in head
+    return b"<mujoco" in head.replace(b"<mujocoinclude", b"") or b"<robot" in head
+
+
+def _default_name(path: Path) -> str:
+    from simfoundry.frontends.importer import ASSET, SCENE, TASK
+    from simfoundry.frontends.registry import TASK_FRONTENDS
+
+    if path.suffix.lower() in TASK_FRONTENDS:
+        return f"{path.stem}{TASK}"
+    return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
+
+
+def _described(report: ImportReport) -> str:
+    """Describe the imported document and each difference from the file."""
+    lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
+    lines += [f"{document}" for document in report.more]
+    lines += _warned_of_masses(report)
+    for kind, heading in HEADINGS.items():
+        notes = [note for note in report.notes if note.kind == kind]
+        if not notes:
+            continue
+        lines.append(f"{len(notes)} {heading[len(notes) > 1]}:")
+        reasons: dict[str, list[str]] = {}
+        for note in notes:
+            reasons.setdefault(note.why, []).append(f"{note.what} ({note.detail})" if note.detail else note.what)
+        lines += [f"  {_listed(things)}: {why}" for why, things in reasons.items()]
+    if report.names:
+        shown = [f"{old} -> {new}" for old, new in report.names]
+        lines.append(f"{len(shown)} name{'s' if len(shown) > 1 else ''} changed: {_listed(shown)}")
+    return "\n".join(lines)
+
+
+def _warned_of_masses(report: ImportReport) -> list[str]:
+    """Return a warning about links without a mass, listing the masses assumed at the default density."""
+    masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
+    if not masses:
+        return []
+    count = f"{len(masses)} link has" if len(masses) == 1 else f"{len(masses)} links have"
+    shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
+    total = sum(report.assumed_masses.values())
+    return [
+        f"warning: {count} no mass; as solids at 1000 kg/m^3 the mass is {total:.3g} kg: "
+        f"{_listed(shown)}; set the density with --density (wood 600), or write `mass:` for each"
+    ]
+
+
+def _listed(things: list[str], most: int = 4) -> str:
+    more = f" and {len(things) - most} more" if len(things) > most else ""
+    return ", ".join(things[:most]) + more
+
+
+def _counts(report: ImportReport) -> str:
+    words = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
+    found = [(getattr(report, plural), plural, single) for plural, single in (words | {"meshes": "mesh"}).items()]
+    return ", ".join(f"{n} {single if n == 1 else plural}" for n, plural, single in found if n)
+
+
+def _table(reports: list[ImportReport]) -> str:
+    """Return one line per file, and a total."""
+    width = max(len(report.source) for report in reports)
+    lines = []
+    for report in reports:
+        if report.error:
+            lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
+        else:
+            notes = f"; {len(report.notes)} not as in the file" if report.notes else ""
+            lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
+            lines += [f"  {line}" for line in _warned_of_masses(report)]
+    refused = sum(bool(report.error) for report in reports)
+    lines.append(f"{len(reports) - refused} of {len(reports)} imported")
+    return "\n".join(lines)
+
+
+@subcommand(force=True)
+@click.argument("task", type=FILE)
+@click.option(
+    "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
+    help="Write BDDL for LIBERO or BEHAVIOR, or the task YAML of the paper's release.",
+)  # fmt: skip
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
+@click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
+def export_command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
+    """Write a task as BDDL, or in the format of the paper's release.
+
+    A goal that the format cannot express is an error; parts of the initial state that it cannot express are reported.
+    `simfoundry import` reads all three formats.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.frontends.task_export import export_task
+    from simfoundry.scene.lower import lower_file
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.models.task import TaskSpec
+
+    loaded = load_kind(task, "task/1")
+    spec = loaded.spec
+    assert isinstance(spec, TaskSpec)
+    protect_output(out, [task, *loaded.files()], force)
+    if as_json and out is None:
+        raise CannotError("--json needs an output file; name it with `-o FILE`")
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
+    if out is None:
+        print_document(export.text)
+    else:
+        write_text(out, export.text)
+    if as_json:
+        print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
+    else:
+        for note in export.notes:
+            click.echo(f"differs from the task: {note}", err=True)
+    return FINDINGS if strict and export.notes else DONE

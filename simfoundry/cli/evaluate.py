@@ -1,0 +1,296 @@
+"""Commands that measure policies: ``eval``, ``correlate``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, resumable
+from simfoundry.cli.options import shard as shard_of
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    print_json,
+    progress_bar,
+    protect_output,
+    subcommand,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from rich.console import Console
+
+    from simfoundry.api.evaluation import Evaluation
+    from simfoundry.evaluate.entries import TaskEntry
+    from simfoundry.evaluate.run import EvaluationPlan
+    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
+
+SENTENCES = 10
+"""Number of problems, and of comparisons, printed as sentences; more do not fit on a screen beside the table."""
+
+
+@subcommand("eval")
+@click.argument("tasks", nargs=-1, required=True, type=ANY)
+@click.option(
+    "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
+    help="random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml, or a server: "
+    "openpi:localhost:8000?action_space=joint_position.",
+)  # fmt: skip
+@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
+@click.option(
+    "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
+    help="Number of rollouts of each task.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed of the initial states.")
+@click.option(
+    "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
+    show_default=True, help="Run in this engine; give the option twice to compare two.",
+)  # fmt: skip
+@click.option("--from", "onward", metavar="STEP", help="Start at this step and require the whole goal.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step and require only its goal.")
+@click.option("--subtasks", is_flag=True, help="Also run each step that defines its own start.")
+@click.option(
+    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if rendering works here."
+)
+@click.option("--camera", "cameras", multiple=True, help="Record from these cameras. Default: the scene's first.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of processes.")
+@click.option(
+    "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
+)
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
+def eval_command(
+    tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
+    onward: str | None, alone: str | None, subtasks: bool, video: bool | None, cameras: tuple[str, ...], jobs: int,
+    shard: tuple[int, int], require: float | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Evaluate policies on tasks.
+
+    TASKS are task documents, or folders of them. Every policy gets the same initial states; in each rollout, each
+    object starts in a different cell of its grid. OUT contains one file per rollout. Finished rollouts are not
+    repeated: to resume an interrupted run, repeat the command; shards that write to one folder are combined there.
+    OUT/results.json has the results (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the
+    videos. With `--world mujoco --world pybullet` both engines get the same initial states, and the report lists the
+    rollouts in which they disagree.
+
+    A policy that answers with an error, or with an invalid action, fails that rollout. If a policy does not answer, the
+    rollout is missing: it counts in no rate, and the same command tries it again.
+
+    The exit code is 1 if rollouts are missing, or if a rate is below --require.
+    """
+    from simfoundry.api.evaluation import run_plan
+    from simfoundry.evaluate.entries import contenders
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
+
+    if sum((onward is not None, alone is not None, subtasks)) > 1:
+        raise CannotError("--from, --step and --subtasks are mutually exclusive")
+    plan = EvaluationPlan(
+        folder=out,
+        entries=tuple(_entries(tasks, onward, alone, subtasks)),
+        contenders=tuple(contenders(policies)),
+        rollouts=rollouts,
+        seed=seed,
+        engines=tuple(dict.fromkeys(worlds)),
+        shard=(shard[0] - 1, shard[1]),
+        cameras=cameras or None,
+        video=_can_film(worlds) if video is None else video,
+    )
+    with progress_bar(as_json) as progress, resumable(out):
+        prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
+        evaluation = run_plan(plan, jobs, progress)
+    return _print_report(plan, evaluation, require, as_json)
+
+
+def _can_film(worlds: Sequence[str]) -> bool:
+    """Return whether videos can be rendered here, and report the reason if not. PyBullet needs no driver."""
+    from simfoundry.render.gl import Engine, choose_engine
+
+    if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
+        return True
+    click.echo("no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one", err=True)
+    return False
+
+
+def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[TaskEntry]:
+    from simfoundry.evaluate.entries import TaskEntry, TaskPart
+
+    for path in files_below(tasks, ".task.yaml", "tasks"):
+        if onward is not None or alone is not None:
+            yield TaskEntry(path, TaskPart.ONWARD if onward is not None else TaskPart.ALONE, onward or alone or "")
+            continue
+        yield TaskEntry(path)
+        if subtasks:
+            steps = TaskEntry(path).load().subtasks.values()
+            yield from (TaskEntry(path, TaskPart.ALONE, step.name) for step in steps if step.starts_itself)
+
+
+def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+    from simfoundry.evaluate.statistics.results import cells
+
+    missing, troubles = evaluation.missing, evaluation.troubles
+    low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
+    if as_json:
+        extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
+        print_json({**evaluation.results, **extra})
+    else:
+        _print_rates(evaluation.records)
+        for trouble in troubles[:SENTENCES]:
+            click.echo(trouble, err=True)
+        if len(troubles) > SENTENCES:
+            click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
+        if missing:
+            click.echo(f"{missing} rollouts are missing; repeat the command to run them", err=True)
+        for cell in low:
+            where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
+            click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
+        click.echo(f"{evaluation.report}")
+    return FINDINGS if missing or low else DONE
+
+
+def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Column, Table
+
+    from simfoundry.evaluate.statistics.results import MANY, cells, titles
+
+    found = cells(records)
+    policies = list(dict.fromkeys(cell.policy for cell in found))
+    table = Table(*(Column(title, no_wrap=True) for title in ("task", *policies)), box=None, pad_edge=False)
+    for name, here in titles(found).items():
+        table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
+        steps = dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+        for step in steps if len(titles(found)) <= MANY else ():
+            each = (here[p].subtasks.get(step) if p in here else None for p in policies)
+            rates = (f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each)
+            table.add_row(f"  {step}", *rates, style="dim")
+    console = Console()
+    console.print(table)
+    _print_pools(console, records)
+
+
+def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
+    """Print the rates over all tasks, and the significance of the differences between policies."""
+    from rich.table import Column, Table
+
+    from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
+    from simfoundry.evaluate.statistics.results import pool_rows, pools
+
+    found = pools(records)
+    if found:
+        policies = list(dict.fromkeys(pool.policy for pool in found))
+        table = Table(*(Column(title, overflow="fold") for title in ("together", *policies)), box=None, pad_edge=False)
+        for name, here in pool_rows(found).items():
+            tasks = max(len(pool.counts) for pool in here.values())
+            table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
+            if not all(pool.is_balanced for pool in here.values()):
+                alike = (here[p].stratified_text if p in here else "" for p in policies)
+                table.add_row("  tasks weighted equally", *alike, style="dim")
+        console.print()
+        console.print(table)
+    pairs = compare_policies(records)
+    for one in pairs[:SENTENCES]:
+        console.print(one.sentence, markup=False, soft_wrap=True)
+    if len(pairs) > SENTENCES:
+        console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")
+    for other in compare_engines(records):
+        if other.disagrees:
+            console.print(other.sentence, markup=False, soft_wrap=True)
+
+
+@subcommand(force=True)
+@click.argument("real", type=ANY)
+@click.argument("sim", nargs=-1, required=True, type=ANY)
+@click.option(
+    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
+    help="Number of rollouts to assume for a rate without a count.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
+    help="Number of samples for the intervals.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the sampling.")
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
+def correlate_command(
+    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
+
+    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or results of `simfoundry eval`.
+    Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
+    rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
+    """
+    from simfoundry.evaluate.statistics import correlation
+
+    protect_output(svg, [real, *sim], force)
+    truth = correlation.read_scores(real)
+    if len(engines := correlation.by_engine(truth)) > 1:
+        raise CannotError(f"{real} has results of {' and '.join(engines)}; pass one table of real results")
+    tables: dict[str, list[Score]] = {}
+    for name, path in zip(_table_names(sim), sim, strict=True):
+        each = correlation.by_engine(correlation.read_scores(path))
+        tables |= {f"{name} in {engine}" if len(each) > 1 else name: table for engine, table in each.items()}
+    how = correlation.Draws(count=draws, rollouts=rollouts, seed=seed)
+    found = {name: correlation.agreements(truth, table, how) for name, table in tables.items()}
+    missing = {name: correlation.left_out(truth, table) for name, table in tables.items()}
+    said = {name: correlation.reservations([*truth, *table]) for name, table in tables.items()}
+    if svg is not None:
+        from simfoundry.reports.correlation import scatter
+
+        write_text(svg, scatter(found))
+    if as_json:
+        print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
+        return
+    _print_agreements(found, missing, said)
+    if svg is not None:
+        click.echo(f"\nwrote {svg}")
+
+
+def _table_names(sim: Sequence[Path]) -> list[str]:
+    for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
+        if len(set(names)) == len(names):
+            return names
+    raise CannotError("the same table is given twice")
+
+
+def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
+
+    r, violation = mean_agreement(found)
+    mean = {"pearson": r, "mmrv": violation}
+    return {"tasks": [asdict(a) for a in found], "mean": mean, "not_in_both": missing, "reservations": said}
+
+
+def _print_agreements(
+    found: Mapping[str, Sequence[RateAgreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
+) -> None:
+    from rich.console import Console
+    from rich.table import Column, Table
+
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
+
+    console = Console()
+    for name, one in found.items():
+        columns = (Column(title, no_wrap=True) for title in ("task", "policies", "Pearson r", "MMRV"))
+        table = Table(*columns, title=name, title_justify="left", box=None, pad_edge=False)
+        for a in one:
+            r, violation = _with_interval(a.pearson, a.pearson_interval), _with_interval(a.mmrv, a.mmrv_interval)
+            table.add_row(a.task, str(len(a.policies)), r, violation)
+        table.add_row("mean", "", *(_with_interval(mean, None) for mean in mean_agreement(one)), style="bold")
+        console.print(table)
+        if missing[name]:
+            console.print(f"not in both tables: {', '.join(missing[name])}", markup=False, soft_wrap=True)
+        for sentence in said[name]:
+            console.print(sentence, markup=False, soft_wrap=True)
+
+
+def _with_interval(value: float | None, interval: Interval | None) -> str:
+    figure = "undefined" if value is None else f"{value:.3f}"
+    return figure if interval is None or value is None else f"{figure} ({interval[0]:.3f} to {interval[1]:.3f})"

@@ -1,0 +1,191 @@
+"""Commands for the language: ``new``, ``schema``, ``flatten``, ``explain``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER
+from simfoundry.cli.output import (
+    DONE,
+    CannotError,
+    in_color,
+    print_document,
+    print_json,
+    protect_output,
+    subcommand,
+    write_text,
+)
+from simfoundry.spec.models.kinds import KINDS
+
+if TYPE_CHECKING:
+    from simfoundry.spec.check.pages import Page
+
+NEXT = {
+    "scene": ("simfoundry check {path}", "simfoundry show {path}"),
+    "task": ("simfoundry check {path}",),
+    "asset": ("simfoundry check {path}",),
+    "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
+    "cousins": ("simfoundry check {path}",),
+    "policy": ("simfoundry check {path}",),
+}
+"""Next steps for a new document of each kind."""
+
+
+@subcommand()
+@click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
+@click.option("--name", help="Name of the document. Default: the name of its file.")
+@click.option("--from", "source", type=FILE, metavar="SCENE",
+              help="The scene of a task or the twin of a recipe. Default: the only scene beside PATH.")  # fmt: skip
+@click.option("--extends", type=FILE, metavar="DOCUMENT",
+              help="Create an overlay that states only the differences from this document.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+def new_command(
+    words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
+) -> None:
+    """Create a valid document with comments that explain its keys.
+
+    KIND is scene, task, asset, capture, cousins or policy; it may be omitted if PATH implies it, as desk.scene.yaml
+    does. If no folder above PATH is a project (with a simfoundry.yaml or a .git), a simfoundry.yaml is written to the
+    working folder, or to the closest folder that contains every file named. If the project has no editor schemas, they
+    are written to .simfoundry/schemas/.
+    """
+    from simfoundry.spec.editor.new import NewError, kind_and_path, make
+
+    try:
+        kind, path = kind_and_path(words)
+        if path.exists() and not force:
+            raise CannotError(f"{path} exists; --force replaces it")
+        new = make(kind, path, name, source, extends)
+    except NewError as error:
+        raise CannotError(str(error)) from None
+    for file, text in {**new.marker, **new.schemas, new.path: new.text}.items():
+        write_text(file, text)
+    written = sorted({str(file.parent) for file in new.schemas})
+    steps = [step.format(path=path, folder=path.parent) for step in NEXT[kind]]
+    if as_json:
+        marker = next((str(file) for file in new.marker), None)
+        print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
+        return
+    click.echo(f"wrote {path}")
+    for file in new.marker:
+        click.echo(f"wrote {_shown(str(file))}, which marks the root of the project")
+    for folder in written:
+        click.echo(f"wrote {_shown(folder)}/, which editors use for completion and checks")
+    click.echo("next:")
+    for step in steps:
+        click.echo(f"  {step}")
+
+
+def _shown(folder: str) -> str:
+    """Return a path relative to the working folder if it lies below it."""
+    path, here = Path(folder), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else folder
+
+
+WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
+
+
+@subcommand(as_json=False, force=True)
+@click.argument("kind", type=click.Choice(WORDS), required=False)
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas into this folder.")
+@click.option("--standard", is_flag=True, help="Use only keywords of JSON Schema, for strict validators such as ajv.")
+def schema_command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
+    """Print the JSON Schema of a kind of document, or write all of them with -o.
+
+    The schemas include editor extensions of JSON Schema: snippets, Markdown and messages. For validators that reject
+    unknown keywords, use --standard.
+    """
+    from simfoundry.spec.editor.schema import schemas
+
+    texts = schemas(standard)
+    if out is not None:
+        for name, text in texts.items():
+            if not (out / name).is_file() or (out / name).read_bytes() != text.encode():
+                protect_output(out / name, force=force)
+        for name, text in texts.items():
+            write_text(out / name, text)
+            click.echo(str(out / name))
+        return
+    if kind is None:
+        raise click.UsageError(f"name a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
+    print_document(texts[f"{kind}.schema.json"])
+
+
+@subcommand(force=True)
+@click.argument("file", type=FILE)
+@click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
+@click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
+def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
+    """Write a document in full, with everything that it extends merged and every default written out.
+
+    Equivalent documents give the same text, and therefore the same hash. Paths of files become relative to the place
+    where the text is written.
+    """
+    from simfoundry.spec.change.flatten import digest, flatten
+    from simfoundry.spec.diagnostics import SpecError
+    from simfoundry.spec.load import load
+
+    loaded = load(file)
+    protect_output(out, [file, *loaded.files()], force)
+    if loaded.spec is None or loaded.errors:
+        raise SpecError(loaded.errors)
+    text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
+    if out is not None:
+        write_text(out, text)
+    if as_json:
+        print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
+    elif only_hash:
+        click.echo(digest(text))
+    elif out is None:
+        print_document(text)
+    else:
+        click.echo(f"wrote {out}")
+    return DONE
+
+
+@subcommand()
+@click.argument("code", required=False)
+def explain_command(code: str | None, as_json: bool) -> None:
+    """Explain a diagnostic code: its meaning, its fix, and examples of wrong and right input.
+
+    CODE is written as in a finding, SF201, or without the prefix, 201. Without CODE, all codes are listed.
+    """
+    from simfoundry.spec.check.pages import code_of, grouped, page, titles
+    from simfoundry.spec.diagnostics import nearest
+
+    if code is None:
+        if as_json:
+            print_json({"groups": grouped()})
+        else:
+            click.echo(_code_list(grouped()))
+        return
+    known = code_of(code)
+    if known is None:
+        similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", titles())
+        hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
+        raise CannotError(f"there is no code `{code}`; {hint}")
+    found = page(known)
+    if as_json:
+        print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
+    elif in_color(sys.stdout):
+        _show_page(found)
+    else:
+        click.echo(found.markdown, nl=False)
+
+
+def _code_list(groups: dict[str, dict[str, str]]) -> str:
+    blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
+    return "\n\n".join(blocks)
+
+
+def _show_page(page: Page) -> None:
+    """Print the page to a terminal with a readable line length."""
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    console = Console()
+    console.print(Markdown(page.markdown, code_theme="ansi_dark"), width=min(console.width, 100))

@@ -1,0 +1,317 @@
+"""Profiles of solids of revolution: their edits, and families of silhouettes for vessels with walls of even
+thickness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array
+from simfoundry.spec.models.base import LatheShape
+
+Rng = np.random.Generator
+
+HOLLOW = 0.12
+"""Minimum depth of a cavity as a share of the height."""
+
+LEVELS = 5
+"""Minimum number of rings of a curved wall; each band between rings becomes convex parts."""
+
+FLAT, LOW, WIDE = 0.4, 0.8, 1.4
+"""Upper limits of the ratio of height to rim radius for dishes, bowls and pots; above the last, a vessel is a cup."""
+
+THINNEST = 0.0015
+"""Minimum wall thickness [m]."""
+
+KEPT_WALL = 0.6
+"""Minimum share of its thickness that a wall keeps when curved: a third less still looks like the same ware."""
+
+FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Shares of a curve's deviation from a straight line that are tried in order, the full curve first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A profile as two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
+    and ``inner`` from the rim down to the axis, shape (m, 2), which for a solid body is its flat or domed top.
+    """
+
+    outer: Array
+    inner: Array
+
+    @classmethod
+    def of(cls, shape: LatheShape) -> Profile:
+        """Split the profile of a shape into its chains."""
+        rings = np.array(shape.lathe.profile)
+        if rings[0, 1] > rings[-1, 1]:
+            rings = rings[::-1]
+        rim = int(np.flatnonzero(rings[:, 1] >= rings[:, 1].max() - 1e-9)[0])
+        return cls(rings[: rim + 1], rings[rim + 1 :])
+
+    @property
+    def shape(self) -> LatheShape:
+        """Return the profile as a shape of the spec."""
+        rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
+        kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
+        return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
+
+    @property
+    def foot(self) -> float:
+        """Lowest height [m]."""
+        return float(self.outer[:, 1].min())
+
+    @property
+    def rim(self) -> float:
+        """Greatest height [m]."""
+        return float(self.outer[-1, 1])
+
+    @property
+    def height(self) -> float:
+        """Height from foot to rim [m]."""
+        return self.rim - self.foot
+
+    @property
+    def depth(self) -> float:
+        """Depth from the rim down to the floor on the axis [m]; about 0 for a solid body."""
+        return self.rim - float(self.inner[-1, 1]) if len(self.inner) else 0.0
+
+    @property
+    def is_hollow(self) -> bool:
+        """Return whether the body has a cavity."""
+        return self.depth > HOLLOW * self.height and len(self.inner) >= 3
+
+    @property
+    def wall(self) -> float:
+        """Wall thickness at the rim [m]; 0 for a solid body."""
+        return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
+
+    @property
+    def thinnest(self) -> float:
+        """Minimum distance from a corner of the inside to the outside [m]; a plate's is not at its rim."""
+        a, b = self.outer[:-1], self.outer[1:]
+        way = b - a
+        points = self.inner[:, None, :] - a
+        along = np.einsum("ijk,jk->ij", points, way) / np.einsum("jk,jk->j", way, way)
+        apart = points - np.clip(along, 0.0, 1.0)[..., None] * way
+        return float(np.linalg.norm(apart, axis=2).min())
+
+    def radius(self, height: Array | float) -> Array:
+        """Outer radius [m] at the given heights [m]."""
+        rings = self.outer[1:] if len(self.outer) > 1 else self.outer
+        order = np.argsort(rings[:, 1], kind="stable")
+        return np.asarray(np.interp(height, rings[order, 1], rings[order, 0]))
+
+
+def _finer(chain: Array, gap: float) -> Array:
+    out = [chain[0]]
+    for a, b in pairwise(chain):
+        steps = max(1, round(abs(b[1] - a[1]) / gap))
+        out += [a + (b - a) * (k / steps) for k in range(1, steps + 1)]
+    return np.array(out)
+
+
+def swelled(profile: Profile, grow: Array) -> Profile:
+    """Scale the body's outer radius by a smooth curve; the inside moves with the outside.
+
+    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), interpolated linearly. On a wall that
+    leans far out, such as a plate's, a curve is a steep step that would thin the wall: there the curve is flattened
+    between its ends until the wall keeps :data:`KEPT_WALL` of its thickness.
+    """
+    straight = np.linspace(grow[0], grow[-1], len(grow))
+    made = profile
+    for share in FLATTER if len(grow) > 2 else (1.0,):
+        made = _swelled(profile, straight + share * (grow - straight))
+        if not profile.is_hollow or made.thinnest >= KEPT_WALL * profile.thinnest:
+            break
+    return made
+
+
+def _swelled(profile: Profile, grow: Array) -> Profile:
+    fine, gap = profile, profile.height / LEVELS
+    if len(grow) > 2:  # long walls get more rings so that they can bend
+        fine = Profile(_finer(fine.outer, gap), _finer(fine.inner, gap) if fine.is_hollow else fine.inner)
+    steps = np.linspace(0.0, 1.0, len(grow))
+    # The whole section, including the edge that joins its chains, gets a ring wherever a chain or the curve bends. All
+    # points at one height then move by the same distance, inside and outside, so edges that did not cross before cannot
+    # cross afterwards.
+    bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
+    inner = np.concatenate([fine.outer[-1:], fine.inner])
+    outer = fine.outer
+    for height in sorted(bends):
+        outer, inner = _ring_at(outer, height), _ring_at(inner, height)
+    fine = Profile(outer, inner[1:])
+
+    def delta(heights: Array) -> Array:
+        shares = (heights - fine.foot) / fine.height
+        return fine.radius(heights) * (np.interp(shares, steps, grow) - 1.0)
+
+    return _shifted(fine, delta)
+
+
+def flared(profile: Profile, out: float, band: float) -> Profile:
+    """Bend the rim outward by ``out`` [m] over the topmost ``band`` [m]."""
+    at = profile.rim - band
+
+    def delta(heights: Array) -> Array:
+        return out * np.clip((heights - at) / band, 0.0, 1.0) ** 2
+
+    made = Profile(_ring_at(profile.outer, at), _ring_at(profile.inner, at))
+    return _shifted(made, delta)
+
+
+def thickened(profile: Profile, more: float) -> Profile:
+    """Thicken the wall and the floor inward by ``more`` [m], or thin them; a wall keeps :data:`THINNEST`."""
+    more = max(more, THINNEST - profile.wall)
+    inner = profile.inner.copy()
+    on_wall = inner[:, 0] > 0
+    inner[on_wall, 0] = np.maximum(inner[on_wall, 0] - more, 1e-4)
+    floor = inner[:, 1] < profile.rim - 1e-9
+    inner[floor, 1] = np.minimum(inner[floor, 1] + more, profile.rim - THINNEST)
+    return Profile(profile.outer, inner)
+
+
+def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
+    """Raise the body by ``up`` [m] onto a narrower ring foot, ``inset`` [m] inside its old foot."""
+    radius = float(profile.outer[1, 0]) - inset
+    lift = np.array([0.0, up])
+    foot = np.array([[0.0, profile.foot], [radius, profile.foot], [radius, profile.foot + up]])
+    return Profile(np.concatenate([foot, profile.outer[1:] + lift]), profile.inner + lift)
+
+
+def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
+    """Shift radii by ``delta`` [m], a function of the heights [m]; points on the axis stay there."""
+    chains = profile.outer.copy(), profile.inner.copy()
+    for chain in chains:
+        by, off = delta(chain[:, 1]), chain[:, 0] > 0
+        chain[off, 0] = np.maximum(chain[off, 0] + by[off], 5e-4)
+    return Profile(*chains)
+
+
+def _ring_at(chain: Array, height: float) -> Array:
+    """Return the chain with a ring inserted where it passes through a height [m]."""
+    out = [chain[0]]
+    for a, b in pairwise(chain):
+        if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
+            out.append(a + (b - a) * ((height - a[1]) / (b[1] - a[1])))
+        out.append(b)
+    return np.array(out)
+
+
+# -- silhouettes -------------------------------------------------------------------------------------------------------
+
+POINTS = 13
+"""Number of rings of a curved wall: a bulge of 10 % of a cup's radius then deviates from its chords by under 0.1 mm."""
+
+Form = Callable[[Array, Rng], Array]
+"""Normalized profile: outer radius between foot (0) and rim (1) at heights between foot (0) and rim (1), both (k,)."""
+
+Forms = dict[str, tuple[tuple[float, float], Form]]
+"""Forms by name: range of the foot radius as a share of the rim's, and the profile between them."""
+
+
+def forms_of(slender: float) -> Forms:
+    """Return the forms for vessels whose height is ``slender`` times their rim radius."""
+    if slender < FLAT:
+        return DISHES
+    if slender < LOW:
+        return BOWLS
+    return {name: CUPS[name] for name in POTS} if slender < WIDE else CUPS
+
+
+def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Array:
+    """Points (radius, height) [m] of an outer wall from foot to rim, shape (k, 2), evenly spaced along the wall."""
+    t = np.linspace(0.0, 1.0, 101)
+    wall = np.column_stack([foot + (rim - foot) * form(t, rng), t * height])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wall, axis=0), axis=1))])
+    even = np.linspace(0.0, along[-1], POINTS)
+    return np.column_stack([np.interp(even, along, wall[:, k]) for k in range(2)])
+
+
+def walled(outside: Array, wall: float, floor: float) -> Profile | None:
+    """Hollow profile with an outer wall [m], shape (k, 2), from foot to rim, and an inner one offset by ``wall`` [m].
+
+    The rim is rounded, and the inside ends on a level ``floor`` [m]. None if the wall bends more sharply than its
+    thickness allows.
+    """
+    from shapely.geometry import Polygon
+
+    tangent = np.gradient(outside, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    inward = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    inside = outside + wall * inward
+    lip = (outside[-1] + inside[-1]) / 2 + 0.4 * wall * tangent[-1]
+    above = np.flatnonzero(inside[:, 1] > floor + 0.3 * wall)
+    if len(above) < 2 or (np.diff(above) > 1).any():
+        return None
+    first = inside[above[0]]
+    run = tangent[above[0]]
+    down = (first[1] - floor) / max(float(run[1]), 0.3)  # follow the wall down to the floor
+    corner = np.array([float(first[0] - run[0] * down), floor])
+    rings = np.concatenate([[[0.0, 0.0]], outside, [lip], inside[above][::-1], [corner, [0.0, floor]]])
+    if (rings[1:-1, 0] <= 5e-4).any() or not Polygon(rings).is_valid:
+        return None
+    made = Profile.of(LatheShape.model_validate({"lathe": {"profile": tuple(map(tuple, rings.round(6).tolist()))}}))
+    return made if made.is_hollow and made.thinnest > 0.6 * wall else None
+
+
+def _straight(t: Array, _: Rng) -> Array:
+    return t
+
+
+def _rounded(t: Array, rng: Rng) -> Array:
+    """Quarter ellipse at the bottom, straight above."""
+    bend = rng.uniform(0.3, 0.6)
+    return np.asarray(np.sqrt(1 - np.clip(1 - t / bend, 0.0, 1.0) ** 2))
+
+
+def _shouldered(t: Array, rng: Rng) -> Array:
+    """Two straight walls with a smooth step between them."""
+    at, soft = rng.uniform(0.3, 0.6), rng.uniform(0.05, 0.1)
+    step = 1 / (1 + np.exp(-(t - at) / soft))
+    return np.asarray((step - step[0]) / (step[-1] - step[0]))
+
+
+def _rimmed(t: Array, rng: Rng) -> Array:
+    """Well with a wide rim that rises slightly."""
+    at = rng.uniform(0.5, 0.7)
+    well, rim = np.clip(t / at, 0.0, 1.0), np.clip((t - at) / (1 - at), 0.0, 1.0)
+    share = rng.uniform(0.35, 0.5)
+    return np.asarray(share * well**0.8 + (1 - share) * rim)
+
+
+def _quarter(t: Array) -> Array:
+    """Quarter circle."""
+    return np.asarray(np.sqrt(np.clip(1 - (1 - t) ** 2, 0.0, 1.0)))
+
+
+CUPS: Forms = {
+    "straight": ((0.92, 1.0), _straight),
+    "tapered": ((0.6, 0.8), _straight),
+    "rounded": ((0.45, 0.7), _rounded),
+    "flared": ((0.65, 0.8), lambda t, rng: t ** rng.uniform(2.0, 3.5)),
+    "barrel-shaped": ((0.82, 0.9), lambda t, rng: t + rng.uniform(0.6, 1.4) * np.sin(np.pi * t)),
+    # Wide at the bottom, narrower in the middle, and flared at the rim.
+    "tulip-shaped": ((0.78, 0.88), lambda t, rng: t + rng.uniform(0.5, 0.9) * np.sin(2 * np.pi * t**0.85)),
+    "waisted": ((0.84, 0.92), lambda t, rng: t - rng.uniform(0.5, 1.0) * np.sin(np.pi * t)),
+    "shouldered": ((0.68, 0.82), _shouldered),
+}
+POTS = ("straight", "tapered", "rounded", "flared", "barrel-shaped")
+BOWLS: Forms = {
+    "round": ((0.4, 0.6), lambda t, rng: _quarter(t) ** rng.uniform(0.8, 1.2)),
+    "conical": ((0.4, 0.6), _straight),
+    "upright": ((0.6, 0.8), _rounded),
+    "bell-shaped": ((0.42, 0.58), lambda t, rng: 0.72 * _quarter(t) + 0.28 * t ** rng.uniform(3.0, 6.0)),
+    "shouldered": ((0.5, 0.68), _shouldered),
+    "steep": ((0.8, 0.95), _straight),
+}
+DISHES: Forms = {
+    "coupe": ((0.5, 0.62), lambda t, rng: t ** rng.uniform(0.45, 0.65)),
+    "rimmed": ((0.5, 0.62), _rimmed),
+    # Nearly flat, with an edge that turns up.
+    "edged": ((0.62, 0.72), lambda t, rng: np.clip(t / rng.uniform(0.45, 0.6), 0.0, 1.0) ** 0.9),
+    "conical": ((0.5, 0.64), _straight),
+}

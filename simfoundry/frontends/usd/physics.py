@@ -1,0 +1,260 @@
+"""Read UsdPhysics joints and masses of a USD stage, in SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.frontends.draft import UNLIMITED_SLIDE_M, JointDraft, LinkDraft, ModelDraft
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density
+from simfoundry.frontends.usd.geoms import UsdGprims
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.spec.models.asset import DriveSpec
+
+AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
+
+INFINITE = 1e30
+"""Limits and forces above this are infinite: USD writes infinity as a large number in single precision."""
+
+NO_LENGTH = 1e-9
+"""Quaternions shorter than this are undefined; newer versions of USD write zero for a missing rotation."""
+
+JointEnd = tuple[str, Pose, Array]
+"""End of a joint: path of the body, frame of the joint's target in the body frame, and scale of its units."""
+
+_FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
+_ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
+_DAMPING = ("mjc:damping", "newton:damping")
+
+
+@dataclass
+class UsdJoint:
+    """Joint with parent body0 and child body1, until the construction of a tree reverses it.
+
+    ``X_0`` and ``X_1`` are its frames in the two bodies; the axis of ``draft`` is in the joint frame.
+    """
+
+    path: str
+    parent: str
+    child: str
+    X_0: Pose
+    X_1: Pose
+    draft: JointDraft
+
+    def frame(self, body: str) -> Pose:
+        """Return its frame in one of its two bodies."""
+        return self.X_0 if body == self.parent else self.X_1
+
+
+def read_joint(
+    draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], JointEnd], to_m: float, to_kg: float
+) -> UsdJoint:
+    """Read a joint of a stage with units ``to_m`` [m] and ``to_kg`` [kg]; unsupported features are recorded."""
+    joint = pxr.UsdPhysics.Joint(prim)
+    (parent, X_P, scale_0), (child, X_C, scale_1) = (
+        end(list(r.GetTargets())) for r in (joint.GetBody0Rel(), joint.GetBody1Rel())
+    )
+    X_0 = X_P @ attribute_pose(prim, joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
+    X_1 = X_C @ attribute_pose(prim, joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
+    path = str(prim.GetPath())
+    reader = _JointReader(draft, pxr, prim, JointDraft(path, "fixed", parent, child, axis=AXES["X"]), to_m, to_kg)
+    reader.read()
+    return UsdJoint(path, parent, child, X_0, X_1, reader.joint)
+
+
+def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
+    """Return the pose given by two attributes of a prim; missing values and zero rotations are the identity.
+
+    Raises :class:`ImportRefusedError` for non-finite numbers.
+    """
+    p = np.array(position if position is not None else (0, 0, 0), dtype=np.float64) * scale
+    q = (1.0, 0.0, 0.0, 0.0) if rotation is None else (rotation.GetReal(), *rotation.GetImaginary())
+    if not np.isfinite([*p, *q]).all():
+        file = Path(prim.GetStage().GetRootLayer().realPath)
+        raise ImportRefusedError(file, f"a frame of `{prim.GetPath()}` has numbers that are not finite")
+    return Pose.of(p, q if math.hypot(*q) > NO_LENGTH else (1.0, 0.0, 0.0, 0.0))
+
+
+@dataclass
+class _JointReader:
+    """State of reading the type, limits and dynamics of a joint."""
+
+    draft: ModelDraft
+    pxr: Any
+    prim: Any
+    joint: JointDraft
+    to_m: float
+    to_kg: float
+
+    @property
+    def label(self) -> str:
+        return f"joint `{self.joint.name}`"
+
+    def read(self) -> None:
+        physics, prim, kind = self.pxr.UsdPhysics, self.prim, self.prim.GetTypeName()
+        match kind:
+            case "PhysicsFixedJoint":
+                return
+            case "PhysicsRevoluteJoint" | "PhysicsPrismaticJoint":
+                turns = kind == "PhysicsRevoluteJoint"
+                schema = physics.RevoluteJoint(prim) if turns else physics.PrismaticJoint(prim)
+                self.joint.axis = AXES[schema.GetAxisAttr().Get()]
+                self.limit(turns, schema.GetLowerLimitAttr().Get(), schema.GetUpperLimitAttr().Get())
+                closed = prim.GetAttribute("simfoundry:closed")
+                self.joint.closed = closed.Get() if closed and closed.Get() in ("lower", "upper") else None
+                self.dynamics("angular" if turns else "linear", turns)
+            case "PhysicsSphericalJoint":
+                self.joint.type = "ball"
+                schema = physics.SphericalJoint(prim)
+                cones = (schema.GetConeAngle0LimitAttr().Get(), schema.GetConeAngle1LimitAttr().Get())
+                if any(c is not None and 0 <= c < 180 for c in cones):
+                    self.draft.inexpressible(f"cone limit of {self.label}")
+            case "PhysicsJoint":
+                self.six_axes()
+            case _:
+                self.draft.dropped(f"motion of {self.label}", f"the scene language has no {kind}; it is fixed")
+
+    def limit(self, turns: bool, low: float | None, high: float | None) -> None:
+        """Set the type and limits of a joint with one axis."""
+        joint, factor = self.joint, math.radians(1.0) if turns else self.to_m
+        low, high = (
+            None if b is None or not math.isfinite(b) or abs(b) > INFINITE else float(b) * factor for b in (low, high)
+        )
+        if low is not None and high is not None and low < high:
+            joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
+        elif low is not None and high is not None and low == high:
+            self.draft.changed(self.label, "its limits leave it no range, so it is fixed at zero")
+        elif turns:
+            joint.type = "continuous"
+            if (low is None) != (high is None):
+                self.draft.dropped(f"the one limit of {self.label}", "a joint has two limits or none")
+        else:
+            far = UNLIMITED_SLIDE_M
+            joint.type, joint.limits = "prismatic", (-far if low is None else low, far if high is None else high)
+            self.draft.changed(self.label, f"it has no limits; {far:g} m to either side stand for that")
+
+    def dynamics(self, token: str, turns: bool) -> None:
+        """Set damping, friction, armature and drive; the stage uses angular quantities per degree."""
+        prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
+        force = to_kg * to_m * (to_m if turns else 1.0)
+        per_unit = math.degrees(1.0) if turns else 1.0 / to_m
+        joint.friction = _first(prim, _FRICTION) * force
+        joint.armature = _first(prim, _ARMATURE) * to_kg * (to_m**2 if turns else 1.0)
+        joint.damping = _first(prim, _DAMPING) * (1.0 if prim.HasAttribute("mjc:damping") else force * per_unit)
+        if not prim.HasAPI(self.pxr.UsdPhysics.DriveAPI, token):
+            return
+        drive = self.pxr.UsdPhysics.DriveAPI(prim, token)
+        stiffness, damping = (float(a.Get() or 0.0) for a in (drive.GetStiffnessAttr(), drive.GetDampingAttr()))
+        if stiffness <= 0 and damping <= 0:
+            return
+        if drive.GetTypeAttr().Get() == "acceleration":
+            self.draft.dropped(f"drive of {self.label}", "it gives accelerations, and drives here give forces")
+            return
+        factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
+        limit, target = drive.GetMaxForceAttr().Get(), drive.GetTargetPositionAttr()
+        has_target = target.HasAuthoredValue() and stiffness > 0
+        joint.drive = DriveSpec(
+            stiffness=max(0.0, stiffness) * factor,
+            damping=max(0.0, damping) * factor,
+            target=float(target.Get()) * (math.radians(1.0) if turns else to_m) if has_target else None,
+            force_limit=float(limit) * force if limit is not None and 0 < limit < INFINITE else None,
+        )
+
+    def six_axes(self) -> None:
+        """Convert a joint with individually locked axes: fixed, one axis, ball, or free; others are recorded."""
+        free: dict[str, tuple[float | None, float | None]] = {}
+        for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
+            low, high = None, None
+            if self.prim.HasAPI(self.pxr.UsdPhysics.LimitAPI, token):
+                limit = self.pxr.UsdPhysics.LimitAPI(self.prim, token)
+                low, high = limit.GetLowAttr().Get(), limit.GetHighAttr().Get()
+            if low is None or high is None or low < high:
+                free[token] = (low, high)
+        if len(free) == 6:
+            self.joint.type = "free"
+        elif list(free) == ["rotX", "rotY", "rotZ"]:
+            self.joint.type = "ball"
+        elif len(free) == 1:
+            ((token, bounds),) = free.items()
+            self.joint.axis, turns = AXES[token[-1]], token.startswith("rot")
+            self.limit(turns, *bounds)
+            self.dynamics(token, turns)
+        elif free:
+            why = "a joint here has one axis, is a ball, or is free; it is fixed"
+            self.draft.dropped(f"motion of {self.label}", why, ", ".join(free))
+
+
+def _first(prim: Any, names: tuple[str, ...]) -> float:
+    """Return the first positive value of some attributes; 0 if there is none."""
+    values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
+    return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)
+
+
+NOISE = 1e-9
+"""Products of inertia below this fraction of the trace are noise of rotated axes in single precision."""
+
+
+@dataclass
+class UsdBody:
+    """Rigid body of the stage.
+
+    ``X_WB`` is its frame in the world and ``scale`` the scale of its units [m per unit]; ``X_BL`` is the link frame in
+    the body frame, which a joint may change.
+    """
+
+    prim: Any
+    X_WB: Pose
+    scale: Array
+    link: LinkDraft
+    X_BL: Pose = IDENTITY
+
+
+def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
+    """Set mass properties in the precedence of UsdPhysics: body mass, body density, collider masses and materials.
+
+    Units are the same as in ``geoms``.
+    """
+    physics, link, to_m, to_kg = pxr.UsdPhysics, body.link, geoms.to_m, geoms.to_kg
+    api = physics.MassAPI(body.prim)
+    mass, density = api.GetMassAttr().Get(), api.GetDensityAttr().Get()
+    masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]
+    densities = {geoms.surface(p)[1] for p in colliders}
+    if mass and mass > 0:
+        link.mass = float(mass) * to_kg
+        _add_inertia(body, api, to_kg * to_m**2)
+    elif density and density > 0:
+        link.density = float(density) * to_kg / to_m**3
+    elif masses and len(masses) == len(colliders):
+        link.mass = math.fsum(masses) * to_kg
+        if len(masses) > 1:
+            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is spread by volume")
+    elif len(densities) == 1 and None not in densities:
+        link.density = densities.pop()
+    elif link.colliders:
+        assume_density(draft, link, f"{WATER_DENSITY:g} kg/m^3, as UsdPhysics takes it")
+    else:
+        link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
+        draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")
+
+
+def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
+    """Set the center of mass and inertia of a body, in the link frame, if the stage specifies them."""
+    link, X_LB = body.link, body.X_BL.inverse()
+    com = api.GetCenterOfMassAttr().Get()
+    is_given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)
+    if is_given:
+        link.com = X_LB.apply(np.array(com, dtype=np.float64) * body.scale)
+    diagonal = np.array(api.GetDiagonalInertiaAttr().Get() or (0, 0, 0), dtype=np.float64)
+    if not diagonal.any():
+        return
+    R_LI = (X_LB @ attribute_pose(body.prim, None, api.GetPrincipalAxesAttr().Get())).rotation
+    inertia = R_LI @ np.diag(diagonal * unit) @ R_LI.T
+    link.inertia = np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
+    if not is_given:
+        link.com = X_LB.p.copy()

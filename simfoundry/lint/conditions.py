@@ -1,0 +1,83 @@
+"""SF405 and SF406: goals that are true at the start, and relations of a scene that do not hold in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from simfoundry.lint.draft import StartJudge, drafted
+from simfoundry.lint.lints import Lint, Path_, Subject, warning
+from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.models.predicate import Call, Effect, parse_call, parts, texts
+
+
+def pending(subject: Subject) -> list[tuple[Call, Path_]]:
+    """Predicates that must become true and do not hold at the start, each with the path of its goal."""
+    task, judge = subject.task, StartJudge(subject.scene)
+    goals: list[tuple[Any, Path_]] = [(task.goal, ("goal",))]
+    goals += [(subtask.goal, ("subtasks", name, "goal")) for name, subtask in task.subtasks.items()]
+    wanted = (found for goal, path in goals for found in _conjuncts(goal, path))
+    return [(call, path) for call, path in wanted if judge.value(str(call)) is not True]
+
+
+def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
+    """Predicates that must all become true: those not below `any`, whose alternatives may hold, nor below `not`."""
+    tag, below = parts(condition)
+    if tag == "text":
+        yield parse_call(condition), path
+    elif tag == "all":
+        for k, item in enumerate(below):
+            yield from _conjuncts(item, (*path, tag, k))
+
+
+INDEPENDENT = (Effect.NONE, Effect.JOINT, Effect.GRASP)
+"""Effects of predicates that do not depend on the poses that a reset samples."""
+
+
+def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
+    """Find a goal that holds at the start, and steps whose goals hold when they run alone or first."""
+    task, judge = subject.task, StartJudge(subject.scene)
+    if _is_true(subject, task.goal, judge):
+        yield _goal_finding(subject, ("goal",), "the goal is true at the start", judge.explanation(task.goal))
+    scene = subject.loaded.used(task.scene)
+    for k, (name, subtask) in enumerate(task.subtasks.items()):
+        if subtask.start is None and k > 0:
+            continue
+        assert scene is not None
+        own = judge if subtask.start is None else StartJudge(drafted(scene, [task.start, subtask.start]))
+        if _is_true(subject, subtask.goal, own):
+            message = f"the step `{name}` is done at its start"
+            yield _goal_finding(subject, ("subtasks", name, "goal"), message, own.explanation(subtask.goal))
+
+
+def _is_true(subject: Subject, goal: Any, judge: StartJudge) -> bool:
+    """Return True if a goal certainly holds for all poses that a reset may sample."""
+    calls = [parse_call(text) for text, _ in texts(goal)]
+    placed = {arg.partition(".")[0] for c in calls if c.declaration.effect not in INDEPENDENT for arg in c.args}
+    return not (placed & subject.task.reset.objects.keys()) and judge.value(goal) is True
+
+
+def _goal_finding(subject: Subject, path: Path_, message: str, why: str) -> Diagnostic:
+    hint = "require a condition that the robot must bring about, or change the start"
+    return warning(subject.loaded, "SF405", path, f"{message}: {why}" if why else message, hint)
+
+
+TRUE_AT_START = Lint("SF405", ("task/1",), goals_true_at_start)
+
+
+def broken_relations(subject: Subject) -> Iterator[Diagnostic]:
+    """Find relations that certainly do not hold.
+
+    Relations of robots are skipped, because a robot may start while it holds an object.
+    """
+    judge = StartJudge(subject.scene)
+    for k, text in enumerate(subject.scene.spec.relations):
+        call = parse_call(text)
+        if call.declaration.before_motion is None and judge.value(text) is False:
+            names = tuple(arg.partition(".")[0] for arg in call.args)
+            message = f"`{call}` does not hold: {judge.explanation(text)}"
+            hint = "correct the poses, or remove the relation"
+            yield warning(subject.loaded, "SF406", ("relations", k), message, hint, names)
+
+
+BROKEN_RELATION = Lint("SF406", ("scene/1",), broken_relations)

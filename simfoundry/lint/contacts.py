@@ -1,0 +1,167 @@
+"""SF410 and SF411: objects that interpenetrate, and free objects without support."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simfoundry.geometry.vertical_contact import heights
+from simfoundry.lint.draft import DraftScene
+from simfoundry.lint.lints import MOST, Lint, Subject, warning, where
+from simfoundry.scene.lengths import length, number
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.diagnostics import Diagnostic
+
+DEEP = 0.002
+"""Penetration [m] that simulators resolve by themselves; captured objects have as much."""
+
+STEEPEST = 1.5
+"""Lift that separates two objects, as a multiple of the depth, up to which the upper one counts as sunk in from
+above."""
+
+MOST_PAIRS = 6_000
+"""Number of pairs of neighbors measured for one scene, which takes seconds; 1,000 objects on a table have some
+hundreds. Further pairs are measured once the first findings are fixed."""
+
+
+def overlaps(subject: Subject) -> Iterator[Diagnostic]:
+    """Find interpenetrating pairs, unless both are fixed or their contacts are excluded."""
+    draft = subject.scene
+    silent = {frozenset(pair) for pair in draft.spec.no_contact}
+    found = 0
+    for a, b in neighbors(draft)[:MOST_PAIRS]:
+        if (a.fixed and b.fixed) or frozenset((a.name, b.name)) in silent or _is_placed_on(draft, a, b):
+            continue
+        if draft.distance(a.name, b.name, -DEEP) < -DEEP:
+            yield _overlap_finding(subject, a, b)
+            found += 1
+            if found >= MOST:
+                return
+
+
+def neighbors(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
+    """Pairs of objects with known parts whose boxes overlap by more than :data:`DEEP`."""
+    items = [item for item in draft.solids if item.name not in draft.approximate]
+    if not items:
+        return []
+    low, high = (np.array([draft.bounds[item.name][k] for item in items]) for k in (0, 1))
+    found = []
+    for k in range(len(items) - 1):
+        near = ((low[k + 1 :] + DEEP < high[k]) & (low[k] + DEEP < high[k + 1 :])).all(axis=1)
+        found += [(items[k], items[k + 1 + j]) for j in np.flatnonzero(near).tolist()]
+    return found
+
+
+def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
+    """Return True if the placement of one names the other: lowering then defined their relative pose."""
+    places = (draft.spec.objects[one.name].place for one in (a, b))
+    carriers = [(place.on or place.inside or "").partition(".")[0] for place in places if place is not None]
+    return a.name in carriers or b.name in carriers
+
+
+def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
+    """Return the finding for the object that can be moved; of two, for the later one."""
+    draft, loaded = subject.scene, subject.loaded
+    moved, other = (a, b) if b.fixed else (b, a)
+    depth = draft.overlap(a.name, b.name)
+    message = f"`{moved.name}` and `{other.name}` overlap by {length(depth)}"
+    raised = float(heights(draft.shapes[moved.name], draft.shapes[other.name]).max())
+    hint = "move one of them away from the other"
+    if 0 < raised <= STEEPEST * depth:
+        hint = f"raise `{moved.name}` by {length(raised)}, to z = {number(float(moved.X_WO.p[2]) + raised)}"
+    if len(where(loaded, moved.name)) == 2:
+        hint = f"it has no `place` and no `pose`, so it is at the origin: write `place: {{on: {other.name}}}`"
+    hint += f"; if the overlap is intended, write `allow: {{SF410: {{{moved.name}: why}}}}`"
+    return warning(loaded, "SF410", where(loaded, moved.name), message, hint, (other.name,))
+
+
+OVERLAP = Lint("SF410", ("scene/1",), overlaps)
+
+
+HOVERING = 0.005
+"""Largest gap to a support [m] after which the bounce of a falling object is negligible."""
+
+CLOSE = 5e-5
+"""Protrusion [m] of the prisms that represent cylinders."""
+
+MOST_MEASURED = 20_000
+"""Number of pairs of an object and a possible support measured for one scene, at a millisecond each: in a wall of a
+thousand bricks, each has eight neighbors."""
+
+
+def unsupported(subject: Subject) -> Iterator[Diagnostic]:
+    """Find free objects that would fall, in a scene with a fixed object and gravity that points down."""
+    draft = subject.scene
+    gx, gy, gz = draft.spec.gravity
+    if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
+        return
+    items = draft.solids
+    low, high = (np.array([draft.bounds[item.name][k] for item in items]) for k in (0, 1))
+    found = measured = 0
+    for k, item in enumerate(items):
+        if item.fixed or draft.spec.objects[item.name].place is not None:
+            continue
+        near = ((low <= high[k] + HOVERING) & (low[k] - HOVERING <= high)).all(axis=1)
+        near[k] = False
+        below = sorted(np.flatnonzero(near).tolist(), key=lambda j: (abs(high[j, 2] - low[k, 2]), j))
+        measured += len(below)
+        if measured > MOST_MEASURED:
+            return
+        if any(supports(draft, items[j], item) for j in below) or _may_rest_on_unplaced(draft):
+            continue
+        yield _falling(subject, item)
+        found += 1
+        if found >= MOST:
+            return
+
+
+def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:
+    """Return True if an object touches another at once or within the first :data:`HOVERING` of its way down.
+
+    If one of them is known only by its hull, the distance of their boxes decides.
+    """
+    if draft.approximate & {support.name, item.name}:
+        return True
+    upper, lower = draft.shapes[item.name], draft.shapes[support.name]
+    touching = heights(upper, lower)
+    if ((touching >= -HOVERING - CLOSE) & (touching <= CLOSE)).any():
+        return True
+    if not (touching > CLOSE).any():
+        return False
+    # Interpenetrating objects are not reported as falling: SF410 reports them. A lid is no support.
+    leaving = -heights(upper.flipped(), lower.flipped())
+    rising = touching[touching > CLOSE] < -leaving[touching > CLOSE]
+    return bool(rising.any()) or draft.distance(item.name, support.name, -DEEP) < -DEEP
+
+
+def _may_rest_on_unplaced(draft: DraftScene) -> bool:
+    """Return True if there are objects with uncertain poses: any object may rest on them."""
+    return any(name in draft.unplaced for name in draft.scene.by_name)
+
+
+def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
+    """Return the finding with the height of the fall and the object that it ends on."""
+    draft = subject.scene
+    low, high = draft.bounds[item.name]
+    below: list[tuple[float, str]] = []
+    for other in sorted(draft.solids, key=lambda o: -float(draft.bounds[o.name][1][2])):
+        bottom, top = draft.bounds[other.name]
+        if below and top[2] - low[2] < max(below)[0]:
+            break  # no object with a lower top can stop it earlier
+        if other is not item and bottom[2] < low[2] and (bottom <= high)[:2].all() and (low <= top)[:2].all():
+            raised = float(heights(draft.shapes[item.name], draft.shapes[other.name]).max())
+            if np.isfinite(raised) and raised < 0:
+                below.append((raised, other.name))
+    path = where(subject.loaded, item.name)
+    if not below:
+        message = f"nothing supports `{item.name}`, and there is nothing below it"
+        hint = "put it on an object with `place`, or weld it to the world with `fixed: true`"
+        return warning(subject.loaded, "SF411", path, message, hint)
+    raised, name = max(below)
+    message = f"nothing supports `{item.name}`: it falls {length(-raised)} onto `{name}`"
+    hint = f"at z = {number(float(item.X_WO.p[2]) + raised)} it stands there; or write `place: {{on: {name}, ...}}`"
+    return warning(subject.loaded, "SF411", path, message, hint, (name,))
+
+
+UNSUPPORTED = Lint("SF411", ("scene/1",), unsupported)
