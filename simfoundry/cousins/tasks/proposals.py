@@ -306,8 +306,6 @@ def task_cousins(
         if vlm is None:
             why = "`proposals: model` needs a model: name one, or use `affordances`"
             raise ImpossibleError((Reason("no_model", why),))
-        from simfoundry.cousins.tasks.proposals import propose_tasks
-
         every = sorted({o.name for o in twin.scene.objects} - set(axis.objects)) if axis.objects else []
         found: Sequence[Proposal] = propose_tasks(
             vlm, setting, picture, axis.count, scene=reference, include=axis.objects, exclude=every

@@ -7,13 +7,15 @@ import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from simfoundry import __version__
 from simfoundry.spec import diagnostics
-from simfoundry.spec.check.pages import Page, pages
 from simfoundry.spec.diagnostics import Diagnostic, Severity, ordered
+
+if TYPE_CHECKING:
+    from simfoundry.spec.check.pages import Page
 
 FORMATS = ("text", "json", "sarif", "github")
 
@@ -71,11 +73,7 @@ def checkout() -> Path:
 
 def renderer(form: str) -> Callable[[CheckReport], str]:
     """Return the function that writes a report in one of the ``FORMATS``."""
-    if form == "sarif":
-        from simfoundry.spec.check.report import render_sarif
-
-        return render_sarif
-    return {"text": render_text, "json": render_json, "github": render_github}[form]
+    return {"text": render_text, "json": render_json, "sarif": render_sarif, "github": render_github}[form]
 
 
 def findings_text(found: Iterable[Diagnostic], color: bool = False) -> str:
@@ -159,6 +157,8 @@ _ROOT = "%SRCROOT%"
 
 def render_sarif(report: CheckReport) -> str:
     """Return one run with one result per finding; files are relative to the checkout, columns in characters."""
+    from simfoundry.spec.check.pages import pages
+
     folder = checkout()
     explained = pages()
     rules = [page.code for page in explained]

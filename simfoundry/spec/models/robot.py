@@ -85,8 +85,6 @@ class RobotSpec(Model):
 
     def known(self) -> KnownRobot | None:
         """Return the known robot with this name; None if it is unknown or its file is faulty, which `check` reports."""
-        from simfoundry.spec.models.robot import find_robot
-
         try:
             return find_robot(self.model) if isinstance(self.model, str) else None
         except SimfoundryError:
