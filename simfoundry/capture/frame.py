@@ -1,13 +1,36 @@
-"""One registered RGB-D picture, the input of every later stage of a capture."""
+"""One registered RGB-D picture, the input of every later stage of a capture, and what the stages find in it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
+
+NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
+MIN_PIXELS = 200  # pixels with depth: fewer show no plane
+
+# Units of depth by their scale to meters, the most common first, for a hint where depth is implausible.
+UNITS = {
+    0.001: "millimeters",
+    0.0001: "tenths of a millimeter",
+    1.0: "meters",
+    0.01: "centimeters",
+    1e-6: "micrometers",
+    1000.0: "kilometers",
+}
+
+
+class CaptureError(Exception):
+    """A capture that cannot be turned into a scene: a stable ``code``, the fault, and a hint that says what to do."""
+
+    def __init__(self, code: str, message: str, hint: str) -> None:
+        super().__init__(f"{message} [{code}]\n  hint: {hint}")
+        self.code = code
+        self.message = message
+        self.hint = hint
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +55,28 @@ class Frame:
         x = (u - self.K[0, 2]) / self.K[0, 0] * self.depth
         y = (v - self.K[1, 2]) / self.K[1, 1] * self.depth
         return np.stack([x, y, self.depth], axis=-1)
+
+    def cleaned(self) -> Frame:
+        """Return the frame without depth outside the range of sensors; :class:`CaptureError` if too little remains."""
+        finite = np.isfinite(self.depth) & (self.depth > 0)
+        if not finite.any():
+            hint = "check that the depth file belongs to the color picture, and which values are declared invalid"
+            raise CaptureError("SF502", "the depth picture has no valid pixel", hint)
+        valid = finite & (self.depth >= NEAREST) & (self.depth <= FARTHEST)
+        if not valid.any():
+            median = float(np.median(self.depth[finite]))
+            scale = next((s for s in UNITS if NEAREST <= median * s <= FARTHEST), None)
+            unit = f"it seems to be in {UNITS[scale]}" if scale else "its unit is not one a sensor writes"
+            hint = (
+                f"multiply the depth scale of the capture by {scale:g}" if scale else "check the capture's depth scale"
+            )
+            message = f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {unit}"
+            raise CaptureError("SF502", message, hint)
+        if valid.sum() < MIN_PIXELS:
+            message = f"only {valid.sum()} of {valid.size} depth pixels lie between {NEAREST} and {FARTHEST} m"
+            hint = f"at least {MIN_PIXELS} are needed; check the sensor's range and the declared invalid values"
+            raise CaptureError("SF502", message, hint)
+        return replace(self, depth=np.where(valid, self.depth, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +106,6 @@ class Segmentation:
     supports: dict[int, int]
 
 
-class CaptureError(Exception):
-    """A capture that cannot be turned into a scene: a stable ``code``, the fault, and a hint that says what to do."""
-
-    def __init__(self, code: str, message: str, hint: str) -> None:
-        super().__init__(f"{message} [{code}]\n  hint: {hint}")
-        self.code = code
-        self.message = message
-        self.hint = hint
-
-
-NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
-MIN_PIXELS = 200  # pixels with depth: fewer show no plane
-
-
 def depth_sigma(depth: Array) -> Array:
     """Standard deviation [m] of a depth reading at ``depth`` [m].
 
@@ -82,45 +113,3 @@ def depth_sigma(depth: Array) -> Array:
     are multiples of it.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)
-
-
-def valid_depth(depth: Array) -> NDArray[np.bool_]:
-    """Pixels with a usable reading, shape (h, w); a :class:`CaptureError` where there are too few of them."""
-    finite = np.isfinite(depth) & (depth > 0)
-    if not finite.any():
-        raise CaptureError(
-            "SF502",
-            "the depth picture has no valid pixel",
-            "check that the depth file belongs to the color picture, and which values the capture declares invalid",
-        )
-    valid = finite & (depth >= NEAREST) & (depth <= FARTHEST)
-    if not valid.any():
-        raise _wrong_unit(float(np.median(depth[finite])))
-    if int(valid.sum()) < MIN_PIXELS:
-        raise CaptureError(
-            "SF502",
-            f"only {int(valid.sum())} of {depth.size} depth pixels lie between {NEAREST} and {FARTHEST} m",
-            f"at least {MIN_PIXELS} are needed; check the sensor's range and the declared invalid values",
-        )
-    return np.asarray(valid)
-
-
-def _wrong_unit(median: float) -> CaptureError:
-    units = [("millimeters", 0.001), ("tenths of a millimeter", 0.0001), ("micrometers", 1e-6)]
-    for name, scale in units:
-        if NEAREST <= median * scale <= FARTHEST:
-            guess = f"it seems to be in {name}", f"set the depth scale of the capture to {scale:g} (meters per unit)"
-            break
-    else:
-        if NEAREST <= median * 1000 <= FARTHEST:
-            guess = (
-                "it seems to be in kilometers, as when a scale of 0.001 is applied twice",
-                "multiply the depth scale of the capture by 1000",
-            )
-        else:
-            guess = "its unit is not one a sensor writes", "set the depth scale of the capture (meters per unit)"
-    return CaptureError(
-        "SF502",
-        f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {guess[0]}",
-        guess[1],
-    )

@@ -96,14 +96,7 @@ class ArmDemo:
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping."""
-        return {
-            "instruction": self.instruction,
-            "success": self.success,
-            "seconds": self.seconds,
-            "reason": self.reason,
-            "task": None if self.task is None else str(self.task),
-            "strip": None if self.strip is None else str(self.strip),
-        }
+        return {key: str(value) if isinstance(value, Path) else value for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -121,11 +121,7 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
             raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; give each task once")
         keys.add(task_key(entry, task))
         need_robots(task)
-        starts(task, plan.rollouts, plan.seed, cache, _told(progress, task.name))
-
-
-def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else lambda done, of: progress(name, done, of)
+        starts(task, plan.rollouts, plan.seed, cache, None if progress is None else partial(progress, task.name))
 
 
 def pending(plan: EvaluationPlan) -> list[RolloutJob]:

@@ -30,9 +30,8 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
     ``joints`` overrides positions [rad or m], and motions of ball and free joints, by joint name.
     """
     poses = {item.root.name: IDENTITY}
-    by_child = {joint.child: joint for joint in item.joints}
     for link in item.links[1:]:
-        joint = by_child[link.name]
+        joint = item.joint_above[link.name]
         position: float | Pose = joint.position if joint.has_axis else joint.motion
         if joints is not None:
             position = joints.get(joint.name, position)
@@ -89,11 +88,10 @@ def trees(item: SceneObject) -> tuple[Tree, ...]:
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)
     X_OL = link_poses(item)
-    carriers = {joint.child: joint for joint in item.joints}
     roots: dict[str, str] = {}
     for link in item.links:
         is_root = link is item.root or link.name in free
-        roots[link.name] = link.name if is_root else roots[carriers[link.name].parent]
+        roots[link.name] = link.name if is_root else roots[item.joint_above[link.name].parent]
     return tuple(
         Tree(
             owner=item,
@@ -156,9 +154,8 @@ def _columns(tree: Tree) -> tuple[list[_Column], list[str]]:
 def _carried(tree: Tree) -> dict[str, frozenset[str]]:
     """Joints between the root and each link, by link."""
     above: dict[str, frozenset[str]] = {tree.root.name: frozenset()}
-    carriers = {joint.child: joint for joint in tree.joints}
     for link in tree.links[1:]:
-        joint = carriers[link.name]
+        joint = tree.owner.joint_above[link.name]
         above[link.name] = above[joint.parent] | {joint.name}
     return above
 
@@ -195,9 +192,8 @@ def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 def weld_groups(item: SceneObject) -> dict[str, str]:
     """For each link, the first link of the group that is welded to it."""
     groups: dict[str, str] = {}
-    carriers = {joint.child: joint for joint in item.joints}
     for link in item.links:
-        joint = carriers.get(link.name)
+        joint = item.joint_above.get(link.name)
         welded = joint is not None and joint.type is JointType.FIXED
         groups[link.name] = groups[joint.parent] if joint is not None and welded else link.name
     return groups

@@ -27,6 +27,7 @@ from simfoundry.scene.model import (
     Source,
 )
 from simfoundry.scene.objects import ObjectLowering, Progress
+from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import Loaded, is_document
@@ -115,7 +116,10 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         found[name] = work.lower(name, spec.objects[name], spec)
         work.done += 1
         if first and len(found) == len(first) and not work.findings and not misfits:
-            misfits = list(_misfits(lowering, {k: item for k, item in found.items() if item is not None}))
+            # These objects depend on no others, so their placements can be solved before the rest is lowered.
+            objects = {k: item for k, item in found.items() if item is not None}
+            places = {k: place for k, place in lowering.places.items() if k in objects}
+            misfits = _findings(lowering, place_all(objects, places, viewer(spec))[1])
             work.cuts = not misfits
     if work.findings or misfits:
         raise SpecError([*work.findings, *misfits])
@@ -125,8 +129,6 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
     """Objects placed `inside` another and all objects that these depend on, in the order of the spec."""
-    from simfoundry.scene.place import needs
-
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     todo = [name for name, place in places.items() if place.inside is not None]
     seen = set[str]()
@@ -153,16 +155,12 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
     found = {name: item for name in names if (item := work.lower(name, spec.objects[name], spec)) is not None}
     shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
     wrong = certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate)
-    return [loaded.finding("SF210", ("objects", name, "place"), e.message, e.hint) for name, e in wrong.items()]
+    return _findings(lowering, wrong)
 
 
-def _misfits(lowering: Lowering, objects: Mapping[str, SceneObject]) -> Iterator[Diagnostic]:
-    """Findings for the placements of some objects that depend on no others."""
-    from simfoundry.scene.place import place_all
-
-    places = {name: place for name, place in lowering.places.items() if name in objects}
-    for name, error in place_all(objects, places, viewer(lowering.spec))[1].items():
-        yield lowering.loaded.finding("SF210", ("objects", name, "place"), error.message, error.hint)
+def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
+    """Findings for placements that fail, at the keys that state them."""
+    return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
 
 
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
@@ -170,8 +168,6 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
     places = lowering.places
     if not places:
         return scene
-    from simfoundry.scene.place import needs, order, place_all
-
     solved, errors = place_all(scene.by_name, places, scene.viewer)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
@@ -184,10 +180,7 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
             lowering.unplaced.add(name)
     errors = {name: error for name, error in errors.items() if name not in lowering.unplaced}
     if errors:
-        raise SpecError(
-            lowering.loaded.finding("SF210", ("objects", name, "place"), e.message, e.hint)
-            for name, e in errors.items()
-        )
+        raise SpecError(_findings(lowering, errors))
     return replace(scene, objects=tuple(solved.values()))
 
 
@@ -267,7 +260,7 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
     """Keep the document with its relations, for judging the scene and for targets that embed the document."""
-    relations = tuple(_relation(text) for text in lowering.spec.relations)
+    relations = tuple(Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
     source = Source.of(_file_in_project(lowering.loaded), to_data(lowering.spec))
     return replace(scene, relations=relations, source=source)
 
@@ -286,8 +279,6 @@ def viewer(spec: SceneSpec) -> Pose | None:
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
-        from simfoundry.scene.place import seen_by_camera
-
         return seen_by_camera(camera("", seen).X_WC)
     robot = spec.robots.get(spec.viewpoint or "" if seen is None else (seen.mount or "").partition(".")[0])
     return None if robot is None else pose(robot.pose)
@@ -304,11 +295,6 @@ def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
         if asset is not None and isinstance(asset.spec, AssetSpec):
             for _, fault in document_faults(asset, asset.spec):
                 yield LeftOut(f"objects.{name}.texture", fault)
-
-
-def _relation(text: str) -> Relation:
-    call = parse_call(text)
-    return Relation(call.predicate, call.args)
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:

@@ -200,6 +200,11 @@ class SceneObject:
         """Link whose frame is the object's frame."""
         return self.links[0]
 
+    @cached_property
+    def joint_above(self) -> dict[str, Joint]:
+        """Joint between each link and its parent, by the link's name; the root has none."""
+        return {joint.child: joint for joint in self.joints}
+
     def qualified(self, link_or_joint: str) -> str:
         """Name in a flat target: the object's own name for its root link, else ``object.link``."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"

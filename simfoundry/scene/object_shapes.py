@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from simfoundry.geometry.crossings import HalfSpaces
 
 
-def hulls(item: SceneObject) -> Hulls:
-    """Colliders of all links of an object at its pose; visuals for links without colliders."""
-    poses = link_poses(item)
+def hulls(*items: SceneObject) -> Hulls:
+    """Colliders of all links of objects at their poses; visuals for links without colliders."""
     return hulls_of(
-        (piece.geometry, item.X_WO @ poses[link.name] @ piece.X_LG, number)
-        for number, link in enumerate(item.links)
+        (piece.geometry, item.X_WO @ X_OL @ piece.X_LG, number)
+        for item in items
+        for number, (link, X_OL) in enumerate(zip(item.links, link_poses(item).values(), strict=True))
         for piece in link.colliders or link.visuals
     )
 

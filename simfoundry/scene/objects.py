@@ -19,7 +19,7 @@ from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models import base
-from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec
+from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
 from simfoundry.spec.models.scene import (
     DEFAULT_VARIANT,
     ObjectSpec,
@@ -71,12 +71,11 @@ class ObjectLowering:
     ) -> BodyBuilder:
         """Return a builder for a link of the object ``owner``, which reports slow steps."""
 
-        def report(said: str) -> None:
-            self.report(f"{owner}: {said}")
-
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
-        return BodyBuilder(name, body, materials, self.cache, weighed, self.draft, report=report)
+        return BodyBuilder(
+            name, body, materials, self.cache, weighed, self.draft, report=lambda said: self.report(f"{owner}: {said}")
+        )
 
     def lower(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
         """Return the selected variant of the object, with the other variants attached."""
@@ -174,6 +173,10 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
     limits = spec.limits
     if spec.limits_deg is not None:
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
+    drive = None
+    if (given := spec.drive) is not None:
+        target = position if given.target is None else given.target
+        drive = Drive(given.stiffness, given.damping, target, given.force_limit)
     axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
     return Joint(
         name=name,
@@ -189,10 +192,6 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         position=position,
         motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
-        drive=None if spec.drive is None else _drive(spec.drive, position),
+        drive=drive,
         closed=spec.closed,
     )
-
-
-def _drive(spec: DriveSpec, position: float) -> Drive:
-    return Drive(spec.stiffness, spec.damping, position if spec.target is None else spec.target, spec.force_limit)

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from weakref import WeakValueDictionary
 
 from simfoundry.geometry.frames import IDENTITY, Pose
+from simfoundry.scene.model import Mimic
 from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import (
@@ -39,15 +40,6 @@ class LinkFrame:
     X_LF: Pose = IDENTITY
 
 
-@dataclass(frozen=True)
-class Follow:
-    """A mimic joint: its position is ``multiplier`` times that of ``joint`` plus ``offset`` [rad or m]."""
-
-    joint: str
-    multiplier: float = 1.0
-    offset: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class Gripper:
     """Joints of a gripper; every pair is (open, closed).
@@ -59,7 +51,7 @@ class Gripper:
 
     command: Mapping[str, tuple[float, float]]
     joints: Mapping[str, tuple[float, float]]
-    follow: Mapping[str, Follow]
+    follow: Mapping[str, Mimic]
 
     def closed(self, position: float) -> float:
         """Closed fraction, 0 to 1, for its first joint at ``position`` [rad or m]."""
@@ -231,9 +223,6 @@ def _first(references: list[str], document: Path, suffix: str, fetch: bool) -> P
 def _gripper(spec: ModelSpec) -> Gripper | None:
     if spec.gripper is None:
         return None
-    follow = {n: Follow(f.joint, f.multiplier, f.offset) for n, f in spec.gripper.follow.items()}
-    return Gripper(
-        MappingProxyType(dict(spec.gripper.command)),
-        MappingProxyType(dict(spec.gripper.joints)),
-        MappingProxyType(follow),
-    )
+    follow = {n: Mimic(f.joint, f.multiplier, f.offset) for n, f in spec.gripper.follow.items()}
+    command, joints = dict(spec.gripper.command), dict(spec.gripper.joints)
+    return Gripper(MappingProxyType(command), MappingProxyType(joints), MappingProxyType(follow))

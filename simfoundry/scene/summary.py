@@ -65,20 +65,16 @@ def tree(facts: dict[str, Any]) -> str:
 
 def _roots(objects: dict[str, Any], children: dict[str | None, list[str]]) -> list[str]:
     """Objects that stand on nothing, and the first of each cycle of `OnTop`, which has no root."""
-    roots, below = list(children.get(None, [])), set[str]()
-
-    def add(name: str) -> None:
-        if name not in below:
-            below.add(name)
-            for child in children.get(name, []):
-                add(child)
-
-    for name in roots:
-        add(name)
-    for name in objects:
+    roots, below = list[str](), set[str]()
+    for name in (*children.get(None, []), *objects):
         if name not in below:
             roots.append(name)
-            add(name)
+            todo = [name]
+            while todo:
+                one = todo.pop()
+                if one not in below:
+                    below.add(one)
+                    todo += children.get(one, [])
     return roots
 
 

@@ -58,9 +58,8 @@ def static_links(scene: Scene) -> set[str]:
 
 def _held(item: SceneObject) -> set[str]:
     held = {item.root.name} if item.fixed else set()
-    by_child = {joint.child: joint for joint in item.joints}
     for link in item.links:  # parents come before their children
-        joint = by_child.get(link.name)
+        joint = item.joint_above.get(link.name)
         if joint is not None and joint.type is JointType.FIXED and joint.parent in held:
             held.add(link.name)
     return held

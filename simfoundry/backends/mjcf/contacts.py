@@ -94,9 +94,8 @@ def contact_geoms(scene: Scene) -> list[ContactGeom]:
 def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
     """Yield the collision geoms of an object, in the order of its links."""
     static_links = {item.root.name} if item.fixed else set()
-    by_child = {joint.child: joint for joint in item.joints}
     for link in item.links:
-        joint = by_child.get(link.name)
+        joint = item.joint_above.get(link.name)
         if joint is not None and joint.type is JointType.FIXED and joint.parent in static_links:
             static_links.add(link.name)
         body, static = item.qualified(link.name), link.name in static_links

@@ -24,7 +24,7 @@ from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere, hull_mesh
 from simfoundry.scene.kinematics import joint_transform
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, SceneObject, Visual
-from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 
 if TYPE_CHECKING:
@@ -253,7 +253,7 @@ class RobotUrdf:
     efforts: Mapping[str, float]
     joints: Mapping[str, str]
     gripper: Mapping[str, tuple[float, float]]
-    follow: Mapping[str, Follow]
+    follow: Mapping[str, Mimic]
     servos: Mapping[str, tuple[float, float]]
     frames: Mapping[str, LinkFrame]
     item: SceneObject | None
@@ -300,12 +300,12 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
     )
 
 
-def _stated_mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Follow]]:
+def _stated_mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Mimic]]:
     for joint in joints:
         mimic = joint.find("mimic")
         if mimic is not None:
             numbers = (float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0")))
-            yield str(joint.get("name")), Follow(str(mimic.get("joint")), *numbers)
+            yield str(joint.get("name")), Mimic(str(mimic.get("joint")), *numbers)
 
 
 def _effort(joint: ET.Element) -> float:
@@ -348,11 +348,7 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
         efforts={name: drive.force_limit or _STRONG for name, drive in drives.items()},
         joints={name: made.joints[joint] for name, joint in arm.items()},
         gripper={made.joints[name]: pair for name, pair in gripper.items()},
-        follow={
-            n: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
-            for n, j in joints.items()
-            if j.mimic is not None
-        },
+        follow={n: j.mimic for n, j in joints.items() if j.mimic is not None},
         servos={n: (d.stiffness, d.damping + joints[n].damping) for n, d in drives.items() if d.stiffness > 0},
         frames=frames,
         item=made.item,

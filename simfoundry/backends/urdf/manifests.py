@@ -10,7 +10,6 @@ from simfoundry.backends.urdf.elements import Split
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import Tree, excluded_link_pairs, trees
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
-from simfoundry.scene.robot import Follow
 
 _SERVO_ERROR = 0.005
 """Error [rad or m] at which a servo added to a robot's own URDF reaches its maximum force: 5 mrad at a reach of 0.8 m
@@ -72,7 +71,7 @@ def drive_data(drive: Drive) -> dict[str, float]:
     return {key: rounded(value) for key, value in (gains | limit).items()}
 
 
-def mimic_data(leader: Mimic | Follow) -> dict[str, object]:
+def mimic_data(leader: Mimic) -> dict[str, object]:
     """Return the joint that is followed, and the ratio and offset."""
     return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
 

@@ -1,4 +1,4 @@
-"""Merging of parts of one object that geometry alone separates: of one hue, and unable to stand where they are."""
+"""Color as evidence: merge parts of one object that geometry alone separates, and split two objects at a neck."""
 
 from __future__ import annotations
 
@@ -7,17 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.segment.masks import Labels, Mask, components, disk, grown, hull_mm, opened, thinned
 from simfoundry.capture.segment.merge_regions import compact, renamed
-from simfoundry.capture.segment.regions import Border, Labels, borders, flood
-from simfoundry.capture.segment.support_graph import (
-    RegionPart,
-    below,
-    carriers,
-    footprint_hull,
-    parts_of,
-    shared_footprint,
-)
-from simfoundry.geometry.frames import Array
+from simfoundry.capture.segment.regions import Border, Crop, borders, flood
+from simfoundry.capture.segment.support_graph import RegionPart, below, carriers, parts_of, shared_footprint
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise
@@ -30,6 +23,19 @@ NEAR = 0.03  # [m] largest gap between parts of one object
 FLUSH = 0.02  # [m] between a lid and the rim it lies in
 CAP = 0.2  # of the other's visible area
 SLENDER = 0.35  # of the other's visible area: a handle
+HOLLOW = 0.7  # share of its convex hull that a region of two objects fills at most
+SHARE = 0.25  # of the region that each object covers at least
+NECK = 1.2  # width of the neck, over the square root of the smaller object's area
+FOOT = 0.02  # [m] above the support, below which both objects reach
+
+
+def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
+    """Smoothed hue, of 180 in a full turn, and the pixels that have one: neither gray nor dark; ``color`` is RGB."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
+    hue, saturation, value = cv2.split(cv2.cvtColor(smooth, cv2.COLOR_RGB2HSV))
+    return np.asarray(hue, dtype=np.uint8), np.asarray((saturation > VIVID) & (value > BRIGHT))
 
 
 @dataclass(frozen=True)
@@ -52,30 +58,12 @@ class Hue:
         """Return whether both are colored, and alike."""
         return min(self.vivid, other.vivid) > COLORED and self.apart(other) <= SAME_HUE
 
-
-def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
-    """Return the hue of each region 1..n of ``labels``, shape (h, w); ``color`` is RGB, shape (h, w, 3)."""
-    hue, vivid = _smooth_hsv(color)[..., 0], vivid_of(color)
-    out = {}
-    for k in range(1, int(labels.max()) + 1):
-        mask = labels == k
+    @classmethod
+    def of(cls, mask: Mask, hue: NDArray[np.uint8], vivid: Mask) -> Hue:
+        """Return the hue of the region ``mask``."""
         counts = np.bincount(hue[mask & vivid], minlength=180)
         smooth = np.sum([np.roll(counts, i) for i in range(-5, 6)], axis=0)
-        out[k] = Hue(float(np.argmax(smooth)), float((mask & vivid).sum() / max(1, mask.sum())))
-    return out
-
-
-def vivid_of(color: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels, shape (h, w), that have a hue: neither gray nor dark."""
-    hsv = _smooth_hsv(color)
-    return np.asarray((hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT))
-
-
-def _smooth_hsv(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    import cv2
-
-    smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
-    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_RGB2HSV), dtype=np.uint8)
+        return cls(float(np.argmax(smooth)), float((mask & vivid).sum() / max(1, mask.sum())))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,23 +90,16 @@ class _Family:
             _is_lid(part, other)
             or _is_handle(part, other)
             or (self.on[part.label] == other.label and self.hidden[part.label] < SEEN_UNDER and _is_head(part, other))
-        ) and distance(part, other) < NEAR
+        ) and _distance(part, other) < NEAR
 
 
-def join_kin(
-    labels: Labels,
-    depth: Array,
-    K: Array,
-    points_W: Array,
-    color: NDArray[np.uint8],
-    down: tuple[float, float],
-    reach: int,
-) -> Labels:
+def join_kin(labels: Labels, crop: Crop) -> Labels:
     """Merge lids, handles, heads and feet with the nearest part of their hue."""
+    hue, vivid = hue_and_vivid(crop.color)
     while True:
-        parts = parts_of(labels, points_W, depth, K)
-        hidden, graph = below(labels, depth, down, reach), borders(labels, depth, reach)
-        family = _Family(hues_of(labels, color), carriers(parts), hidden, graph, adjacent_pairs(labels))
+        parts = parts_of(labels, crop.points_W, crop.pixel_area)
+        hues = {p.label: Hue.of(labels == p.label, hue, vivid) for p in parts}
+        family = _Family(hues, carriers(parts), below(labels, crop), borders(labels, crop), _adjacent_pairs(labels))
         pair = _first_kin(parts, family)
         if pair is None:
             return labels
@@ -130,11 +111,11 @@ def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | No
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
-            return part.label, min(kin, key=lambda other: (distance(part, other), other.label)).label
+            return part.label, min(kin, key=lambda other: (_distance(part, other), other.label)).label
     return None
 
 
-def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
+def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
     """Return the pairs (low, high) of adjacent regions."""
     sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
     pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
@@ -161,8 +142,8 @@ def _is_head(part: RegionPart, other: RegionPart) -> bool:
     """Test whether only a neck lies right under ``part``."""
     import cv2
 
-    neck = footprint_hull(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
-    return float(cv2.contourArea(neck)) < SLENDER * float(cv2.contourArea(footprint_hull(part.points_W)))
+    neck = hull_mm(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
+    return float(cv2.contourArea(neck)) < SLENDER * float(cv2.contourArea(hull_mm(part.points_W)))
 
 
 def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Border]) -> bool:
@@ -177,57 +158,44 @@ def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Bo
     )
 
 
-def distance(one: RegionPart, other: RegionPart) -> float:
+def _distance(one: RegionPart, other: RegionPart) -> float:
     """Distance [m] between two parts, ignoring stray points between them."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(one.points_W[:: max(1, len(one.points_W) // 2000)])
-    gaps, _ = tree.query(other.points_W[:: max(1, len(other.points_W) // 1000)])
+    gaps, _ = cKDTree(thinned(one.points_W, 2000)).query(thinned(other.points_W, 1000))
     return float(np.sort(gaps)[min(5, len(gaps) - 1)])
 
 
-HOLLOW = 0.7  # share of its convex hull that a region of two things fills at most
-SHARE = 0.25  # of the region that each thing covers at least
-NECK = 1.2  # width of the neck, over the square root of the smaller thing's area
-FOOT = 0.02  # [m] above the support, below which both things reach
-Mask = NDArray[np.bool_]
-
-
-def split_necks(labels: Labels, points_W: Array, color: NDArray[np.uint8], reach: int) -> Labels:
+def split_necks(labels: Labels, crop: Crop) -> Labels:
     """Split regions that are far from convex where a vivid and a dull half, both standing, meet at a neck.
 
     Color alone is no reason to split an object: a bottle has a cap, a box a print. But a color border at a neck of the
     outline, with both halves reaching the support, runs between two objects.
     """
-    vivid = vivid_of(color)
+    _, vivid = hue_and_vivid(crop.color)
+    kernel = disk(max(1, crop.reach // 4))
     out = labels.copy()
     for k in range(1, int(labels.max()) + 1):
         mask = labels == k
         if _solidity(mask) > HOLLOW:
             continue
-        bright, dull = (_largest(_opened(mask & tone, max(1, reach // 4))) for tone in (vivid, ~vivid))
-        both_stand = _stands(bright, mask, points_W) and _stands(dull, mask, points_W)
-        if both_stand and _neck(bright, dull, reach) < NECK:
+        bright, dull = (_largest(opened(mask & tone, kernel)) for tone in (vivid, ~vivid))
+        both_stand = all(half.sum() >= SHARE * mask.sum() and _stands(half, crop) for half in (bright, dull))
+        if both_stand and _neck(bright, dull, crop.reach) < NECK:
             seeds = np.where(bright, 1, np.where(dull, 2, 0)).astype(np.int32)
             parted = flood(seeds, mask, np.zeros(mask.shape))
             out[mask] = np.where(parted[mask] == 2, int(out.max()) + 1, k)
     return compact(out)
 
 
-def _stands(half: Mask, whole: Mask, points_W: Array) -> bool:
-    if half.sum() < SHARE * whole.sum():
-        return False
-    return bool(np.nanquantile(points_W[..., 2][half], 0.02) < FOOT)
+def _stands(half: Mask, crop: Crop) -> bool:
+    return bool(np.nanquantile(crop.points_W[..., 2][half], 0.02) < FOOT)
 
 
 def _neck(one: Mask, other: Mask, reach: int) -> float:
     """Width [px] at which two masks meet, over the square root of the smaller one's area; infinite if they do not."""
-    import cv2
-
     gap = max(2, reach // 2)
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * gap + 1, 2 * gap + 1))
-    shared = (cv2.dilate(one.astype(np.uint8), disk) > 0) & other
-    width = float(shared.sum()) / gap
+    width = float((grown(one, disk(gap)) & other).sum()) / gap
     return width / float(np.sqrt(min(one.sum(), other.sum()))) if width >= gap else np.inf
 
 
@@ -238,17 +206,6 @@ def _solidity(mask: Mask) -> float:
     return float(mask.sum()) / max(1.0, float(cv2.contourArea(hull)))
 
 
-def _opened(mask: Mask, radius: int) -> Mask:
-    import cv2
-
-    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disk) > 0)
-
-
 def _largest(mask: Mask) -> Mask:
-    import cv2
-
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
-    areas[0] = 0
+    parts, areas = components(mask, connectivity=8)
     return np.asarray((parts == int(np.argmax(areas))) & mask)

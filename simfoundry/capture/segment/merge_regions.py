@@ -1,14 +1,16 @@
-"""Merging of regions into objects across borders that are smooth or bent outward."""
+"""Merging of regions into objects: across smooth or outward borders, behind an occluder, over a rim, and if hanging."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.regions import Border, Labels, borders
+from simfoundry.capture.segment.masks import Labels, hull_mm, in_hull, thinned
+from simfoundry.capture.segment.regions import Border, Crop, borders
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of
 from simfoundry.geometry.frames import Array
 
@@ -17,15 +19,22 @@ TOUCHING = 3.0  # jump along a border up to which two regions may touch
 SMALL_PART = 0.2  # of its neighbor's pixels
 SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
 FEW_PAIRS = 60  # a shorter border says nothing
+HANDLE = 0.35  # of its neighbor's area: a handle is far smaller than its mug
+IN_PLANE = 0.006  # [m]
+SAME_TOP = 0.012  # [m]
+SLIVER = 0.1  # of the other's points
+WIDEST = 0.25  # [m] radius of a container
+RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
+Plane = tuple[Array, Array]
 
 
-def merge_smooth(labels: Labels, depth: Array, reach: int, edge: float = EDGE) -> Labels:
+def merge_smooth(labels: Labels, crop: Crop, edge: float = EDGE) -> Labels:
     """Merge neighbors, starting with the least separated, until every remaining border is an edge.
 
     Next to a region many times its size, a small one must be separated more clearly to be an object: caps,
     handles and the smeared feet of objects are not.
     """
-    graph = borders(labels, depth, reach)
+    graph = borders(labels, crop)
     sizes = dict(enumerate(np.bincount(labels.ravel()).tolist()))
     parent: dict[int, int] = {}
     while True:
@@ -59,105 +68,62 @@ def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[
 def _sum(one: Border, other: Border) -> Border:
     n = one.pairs + other.pairs
     share = one.pairs / n
-    bend = share * one.bend + (1 - share) * other.bend
-    jump = share * one.jump + (1 - share) * other.jump
-    meets = share * one.meets + (1 - share) * other.meets
-    return replace(one, pairs=n, bend=bend, jump=jump, meets=meets)
+    means = {k: share * getattr(one, k) + (1 - share) * getattr(other, k) for k in ("bend", "jump", "meets")}
+    return replace(one, pairs=n, **means)
 
 
-def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
-    """``labels`` after every region in ``parent`` has become its parent, and so on up, numbered 1..n without gaps."""
-    table = np.arange(int(labels.max()) + 1)
-    for region in table:
-        root = int(region)
-        while root in parent:
-            root = parent[root]
-        table[region] = root
-    return compact(table[labels])
-
-
-def compact(labels: NDArray[np.integer[Any]]) -> Labels:
-    """Number the non-zero labels 1..n in ascending order."""
-    present = np.unique(labels[labels > 0])
-    table = np.zeros(int(labels.max()) + 1, np.int32)
-    table[present] = np.arange(1, len(present) + 1)
-    return np.asarray(table[labels], dtype=np.int32)
-
-
-def join_hanging(
-    labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int
-) -> Labels:
+def join_hanging(labels: Labels, crop: Crop) -> Labels:
     """Merge floating parts, such as the handle of a mug, with the part they touch most."""
-    parts = parts_of(labels, points_W, depth, K)
-    on, hidden = carriers(parts), below(labels, depth, down, reach)
-    graph = borders(labels, depth, reach)
+    parts = parts_of(labels, crop.points_W, crop.pixel_area)
+    on, hidden = carriers(parts), below(labels, crop)
+    graph = borders(labels, crop).values()
+    area = {p.label: p.area for p in parts}
     parent: dict[int, int] = {}
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         if part.is_grounded or on[part.label] or hidden[part.label] > 0.5:
             continue
-        # A handle is far smaller than its mug, and no farther off than its rim is wide.
-        size = {p.label: p.area for p in parts}
         touching = [
-            b
-            for b in graph.values()
-            if part.label in (b.a, b.b) and abs(b.jump) < TOUCHING and part.area < 0.35 * size[_other(b, part.label)]
+            (border.pairs, other)
+            for border in graph
+            for k, other in ((border.a, border.b), (border.b, border.a))
+            if k == part.label and abs(border.jump) < TOUCHING and part.area < HANDLE * area[other]
         ]
         if touching:
-            most = max(touching, key=lambda b: b.pairs)
-            other = root(parent, _other(most, part.label))
+            other = root(parent, max(touching, key=lambda found: found[0])[1])
             if other != part.label:
                 parent[part.label] = other
     return renamed(labels, parent)
 
 
-def _other(border: Border, label: int) -> int:
-    return border.a if border.b == label else border.b
-
-
-def root(parent: dict[int, int], k: int) -> int:
-    """Follow the joins of ``k`` to the region that remains."""
-    while k in parent:
-        k = parent[k]
-    return k
-
-
-IN_PLANE = 0.006  # [m]
-SAME_TOP = 0.012  # [m]
-SLIVER = 0.1  # of the other's points
-WIDEST = 0.25  # [m] radius of a container
-RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
-
-
-def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
+def join_hidden(labels: Labels, crop: Crop) -> Labels:
     """Merge regions that are faces of one box behind the same occluder, with the pixels between them."""
     behind: dict[int, set[int]] = {}
-    points = _points(labels, points_W, every=4)
-    for front, back in _occlusions(labels, depth, reach):
+    # Evenly thinned, so that the numbers of points stay in proportion to the sizes of the regions.
+    points = {k: crop.points_W[labels == k][::4] for k in range(1, int(labels.max()) + 1)}
+    for front, back in _occlusions(labels, crop):
         behind.setdefault(front, set()).add(back)
     parent: dict[int, int] = {}
     for front in sorted(behind):
-        backs = sorted(behind[front])
-        for i, a in enumerate(backs):
-            for b in backs[i + 1 :]:
-                low, high = sorted((root(parent, a), root(parent, b)))
-                if low != high and front not in (low, high) and one_box(points[a], points[b]):
-                    parent[high] = low
-                    labels = _between(labels, points_W, front, a, b)
+        for a, b in combinations(sorted(behind[front]), 2):
+            low, high = sorted((root(parent, a), root(parent, b)))
+            if low != high and front not in (low, high) and _one_box(points[a], points[b]):
+                parent[high] = low
+                labels = _between(labels, crop.points_W, front, a, b)
     return renamed(labels, parent)
 
 
-def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
+def join_containers(labels: Labels, crop: Crop) -> Labels:
     """Merge the outside of a bowl or mug with the inside visible behind its near rim."""
-    points = {k: _thinned(p) for k, p in _points(labels, points_W).items()}
+    points = {k: thinned(crop.points_W[labels == k], 1500) for k in range(1, int(labels.max()) + 1)}
     parent: dict[int, int] = {}
-    for front, back in _occlusions(labels, depth, reach):
-        if root(parent, front) != root(parent, back) and one_rim(points[front], points[back]):
-            low, high = sorted((root(parent, front), root(parent, back)))
+    for front, back in _occlusions(labels, crop):
+        low, high = sorted((root(parent, front), root(parent, back)))
+        if low != high and _one_rim(points[front], points[back]):
             parent[high] = low
     return renamed(labels, parent)
 
 
-def one_box(a: Array, b: Array) -> bool:
+def _one_box(a: Array, b: Array) -> bool:
     """Return whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
     small, large = sorted((a, b), key=len)
     if len(small) < 20:
@@ -179,7 +145,7 @@ def one_box(a: Array, b: Array) -> bool:
     return widths[2] < 1.15 * min(widths[:2]) + 0.008
 
 
-def one_rim(front: Array, back: Array) -> bool:
+def _one_rim(front: Array, back: Array) -> bool:
     """Return whether the highest points of two sets [m] close a circle, ``front`` nearer and ``back`` inside it."""
     top_front, top_back = np.quantile(front[:, 2], 0.98), np.quantile(back[:, 2], 0.98)
     if abs(top_front - top_back) > 1.5 * RIM:
@@ -202,44 +168,28 @@ def one_rim(front: Array, back: Array) -> bool:
     return bool(round_enough and radius < WIDEST and seen >= 8 and facing < 0 and inside > 0.85)
 
 
-def _occlusions(labels: Labels, depth: Array, reach: int) -> list[tuple[int, int]]:
+def _occlusions(labels: Labels, crop: Crop) -> list[tuple[int, int]]:
     """Pairs (front, back) of regions that meet at a depth step."""
     return [
         (border.b, border.a) if border.jump > 0 else (border.a, border.b)
-        for border in borders(labels, depth, reach).values()
+        for border in borders(labels, crop).values()
         if abs(border.jump) > max(EDGE, border.bend)
     ]
 
 
-def _points(labels: Labels, points_W: Array, every: int = 1) -> dict[int, Array]:
-    """The points of each region, evenly thinned, so that their numbers stay in proportion to the regions' sizes."""
-    return {k: points_W[labels == k][::every] for k in range(1, int(labels.max()) + 1)}
-
-
-def _thinned(points: Array) -> Array:
-    return points[:: max(1, len(points) // 1500)]
-
-
 def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Labels:
     """Move the pixels of ``front`` that lie within the footprint and height of ``a`` and ``b`` together to ``a``."""
-    import cv2
-
-    joined = _thinned(points_W[(labels == a) | (labels == b)])
-    hull = cv2.convexHull((joined[:, :2] * 1000).astype(np.float32))
+    joined = thinned(points_W[(labels == a) | (labels == b)], 1500)
     rows, columns = np.nonzero(labels == front)
     own = points_W[rows, columns]
     top, bottom = np.quantile(joined[:, 2], [0.98, 0.02])
-    inside = np.zeros(len(own), bool)
-    for i in np.nonzero((own[:, 2] < top + 0.01) & (own[:, 2] > bottom - 0.01))[0]:
-        inside[i] = cv2.pointPolygonTest(hull, (float(own[i, 0]) * 1000, float(own[i, 1]) * 1000), False) >= 0
+    inside = (own[:, 2] < top + 0.01) & (own[:, 2] > bottom - 0.01)
+    inside[inside] = in_hull(hull_mm(joined), own[inside])
     if inside.mean() > 0.5:  # then the hull says nothing: the front one stands within it
         return labels
     out = labels.copy()
     out[rows[inside], columns[inside]] = a
     return out
-
-
-Plane = tuple[Array, Array]
 
 
 def _main_plane(points: Array, level: bool) -> Plane | None:
@@ -273,3 +223,23 @@ def _short_side(points: Array) -> float:
 
     inner = points[:, :2].astype(np.float32) * 1000
     return float(min(cv2.minAreaRect(inner)[1])) / 1000
+
+
+def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
+    """``labels`` after every region in ``parent`` has become its parent, and so on up, numbered 1..n without gaps."""
+    return compact(np.array([root(parent, region) for region in range(int(labels.max()) + 1)])[labels])
+
+
+def compact(labels: NDArray[np.integer[Any]]) -> Labels:
+    """Number the non-zero labels 1..n in ascending order."""
+    present = np.unique(labels[labels > 0])
+    table = np.zeros(int(labels.max()) + 1, np.int32)
+    table[present] = np.arange(1, len(present) + 1)
+    return np.asarray(table[labels], dtype=np.int32)
+
+
+def root(parent: dict[int, int], k: int) -> int:
+    """Follow the joins of ``k`` to the region that remains."""
+    while k in parent:
+        k = parent[k]
+    return k

@@ -1,7 +1,13 @@
-"""Evidence of the camera about one object: its points, and a grid of rays through and around it."""
+"""Evidence of the camera about one object, rays against solids, and how well a solid explains the evidence.
+
+Everything is analytic, so a fit can ask it often. A ray cast returns the depth of the first hit along each ray
+(infinity for a miss) and the cosine between the ray and the surface normal times the length of the ray, so that
+``(depth - observed) * slant`` is a distance at right angles to the surface [m].
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,25 +15,35 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.geometry.ray_casts import first_hits, scattered_rays, turned, unit
+from simfoundry.geometry.ray_casts import area_normals, first_hits, scattered_rays, turned, unit
+from simfoundry.geometry.shapes import Geometry
 
 MAX_RAYS = 2600  # rays of one object: a grid of 51 x 51; a fit casts them some thousand times
 _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too
+FREE_WEIGHT = 0.7  # cost of a ray that passes where the solid is, of one that misses it: silhouettes err by a pixel
+_BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
+_BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
+_IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
+
+# Gain in cost that a family needs over an upright box or cylinder to be chosen. The more freely a family
+# follows the points, the less its lower cost says.
+PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Points of one object and rays through and around it.
 
-    ``points`` [m], world, shape (n, 3), without flying pixels; ``eye`` [m] the camera center in the world, shape (3,);
-    ``rays`` world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
+    ``points`` [m], world, shape (n, 3), without flying pixels; ``rays`` are
+    world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
     [m] observed along the rays, NaN where there is none, shape (m,); ``inside`` marks the object's own rays and
     ``hidden`` those that belong to other objects, both bool, shape (m,); ``scale`` [m] is the distance at which a
     residual stops counting as noise; ``base_z`` [m] the height of what the object stands on.
     """
 
+    frame: Frame
+    support: SupportSurface
     points: Array
-    eye: Array
     rays: Array
     depth: Array
     inside: NDArray[np.bool_]
@@ -36,11 +52,21 @@ class Evidence:
     base_z: float
 
     @property
+    def eye(self) -> Array:
+        """Camera center in the world [m], shape (3,)."""
+        return self.support.X_WC.p
+
+    @property
     def view(self) -> Array:
         """Horizontal unit direction from the camera to the object, shape (2,)."""
         away = np.median(self.points[:, :2], axis=0) - self.eye[:2]
         norm = float(np.linalg.norm(away))
         return away / norm if norm > 1e-6 else np.array([1.0, 0.0])
+
+    @property
+    def across(self) -> Array:
+        """Horizontal unit direction to the left of the view, shape (2,)."""
+        return np.array([-self.view[1], self.view[0]])
 
     @property
     def top(self) -> float:
@@ -81,8 +107,9 @@ def gather(
     inside = mask[rows, cols]
     hidden = np.zeros(len(rows), dtype=bool) if labels is None else (labels[rows, cols] > 0) & ~inside
     return Evidence(
+        frame=frame,
+        support=support,
         points=points,
-        eye=support.X_WC.p,
         rays=directions @ support.X_WC.rotation.T,
         depth=np.where(keep | ~mask, frame.depth, np.nan)[rows, cols],
         inside=inside,
@@ -122,12 +149,26 @@ def flying_pixels(depth: Array) -> NDArray[np.bool_]:
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
-    for dv in (0, 1, 2):
-        for du in (0, 1, 2):
-            if (dv, du) != (1, 1):
-                neighbor = padded[dv : dv + h, du : du + w]
-                agreeing += np.abs(neighbor - depth) < 0.012 * depth
+    for dv, du in np.ndindex(3, 3):
+        if (dv, du) != (1, 1):
+            agreeing += np.abs(padded[dv : dv + h, du : du + w] - depth) < 0.012 * depth
     return np.asarray(np.isfinite(depth) & (agreeing < 3))
+
+
+def binned(
+    bins: NDArray[np.intp], values: Array, count: int, fewest: int, statistic: Callable[[Array], np.floating]
+) -> Array:
+    """A statistic of the values in each of ``count`` bins; NaN in those that hold fewer than ``fewest``."""
+    groups = (values[bins == k] for k in range(count))
+    return np.array([statistic(group) if len(group) >= fewest else np.nan for group in groups])
+
+
+def smooth_gaps(x: Array, values: Array) -> Array:
+    """Interpolate the values that are NaN, hold the ends, and take the median of each three neighbors."""
+    from scipy.ndimage import median_filter
+
+    good = np.isfinite(values)
+    return np.asarray(median_filter(np.interp(x, x[good], values[good]), 3, mode="nearest"))
 
 
 def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -139,12 +180,6 @@ def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
     step = max(1, int(np.ceil(np.sqrt((bottom - top + 1) * (right - left + 1) / MAX_RAYS))))
     grid = np.meshgrid(np.arange(top, bottom + 1, step), np.arange(left, right + 1, step), indexing="ij")
     return grid[0].ravel(), grid[1].ravel()
-
-
-FREE_WEIGHT = 0.7  # cost of a ray that passes where the solid is, of one that misses it: silhouettes err by a pixel
-_BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
-_BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
-_IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,16 +257,14 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
 
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
     """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     face = first_faces(eye, rays, vertices, faces)
     hit = face >= 0
-    chosen, n = rays[hit], normal[face[hit]]
-    slope = np.einsum("ij,ij->i", n, chosen)
+    corners = vertices[faces[face[hit]]]
+    normal = unit(area_normals(corners))
+    slope = np.einsum("ij,ij->i", normal, rays[hit])
     slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
     depth, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
-    depth[hit] = np.einsum("ij,ij->i", n, a[face[hit]] - eye) / slope
+    depth[hit] = np.einsum("ij,ij->i", normal, corners[:, 0] - eye) / slope
     slant[hit] = np.abs(slope)
     return SolidHits(depth, slant)
 
@@ -272,7 +305,6 @@ class RayAgreement:
     """
 
     explained: float
-    missed: float
     intrusion: float
     fit: float
     cost: float
@@ -292,12 +324,10 @@ def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     free = beyond & measured & (-gap > 2.0 * scale)
     unlit = beyond & ~measured & ~evidence.hidden
     count = max(1, int(evidence.inside.sum()))
-    own_count = max(1, int(own.sum()))
     cost = residual[own].sum() + _BLIND_MISS * (blind & ~hit).sum() + _BLIND_HIT * unlit.sum()
     fitted = distance[own & hit]
     return RayAgreement(
-        explained=float((own & hit & (distance < scale)).sum() / own_count),
-        missed=float((own & ~hit).sum() / own_count),
+        explained=float((own & hit & (distance < scale)).sum() / max(1, int(own.sum()))),
         intrusion=float(free.sum() / count),
         fit=float(np.median(fitted)) if fitted.size else float("inf"),
         cost=float((cost + FREE_WEIGHT * free.sum()) / count),
@@ -315,3 +345,24 @@ def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Arr
     nearest = np.take_along_axis(depth, pick, 0)[0]
     closer = nearest < best
     return np.where(closer, nearest, best), np.where(closer, np.take_along_axis(cosine, pick, 0)[0], slant)
+
+
+@dataclass(frozen=True, eq=False)
+class FitCandidate:
+    """One family's best solid; ``guessed`` if a prior supplied an extent that was not seen.
+
+    The origin of ``X_WO`` is the center of the bounding box of a primitive, or of the base, z up, of a mesh.
+    ``profile`` (radius, height) [m], shape (k, 2), describes a body of revolution.
+    """
+
+    family: str
+    geometry: Geometry
+    X_WO: Pose
+    agreement: RayAgreement
+    guessed: bool = False
+    profile: Array | None = None
+
+    @property
+    def cost(self) -> float:
+        """The cost that candidates compete by."""
+        return self.agreement.cost + PRIOR[self.family]

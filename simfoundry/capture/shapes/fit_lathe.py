@@ -3,61 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.shapes.evidence import Evidence, RayAgreement, agreement, cast_lathe
+from simfoundry.capture.shapes.evidence import (
+    Evidence,
+    FitCandidate,
+    RayAgreement,
+    agreement,
+    binned,
+    cast_lathe,
+    smooth_gaps,
+)
 from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import revolved
 
 LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls
 WALL = 0.004  # [m] wall of a container: crockery has 3 to 6 mm
+OPEN = 0.08  # share of the points that can only be seen if the object is open at the top
+PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a meter [m]
+SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
 FLOOR = 0.005  # [m] floor of a container, where it is not seen
 _MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
 _MIN_IN_LEVEL = 4  # points that a level needs for a median
 
 
-@dataclass(frozen=True, eq=False)
-class LatheFit:
-    """A body of revolution: ``profile`` of (radius, height above the base) [m], shape (k, 2), from the axis on top (or
-    the cavity's floor) round the outside to the axis at the base; ``X_WO`` has its origin on the base.
-    """
-
-    profile: Array
-    X_WO: Pose
-    agreement: RayAgreement
-    hollow: bool
-
-
-def fit_lathe(evidence: Evidence) -> LatheFit:
+def fit_lathe(evidence: Evidence) -> FitCandidate:
     """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence."""
-    axis, radius = start_axis(evidence)
-    return _fit(evidence, axis, radius, solid_profile, hollow=False)
+    return _candidate("lathe", evidence, *_fit(evidence, *start_axis(evidence), solid_profile))
 
 
-def fit_hollow(evidence: Evidence) -> LatheFit | None:
+def fit_hollow(evidence: Evidence) -> FitCandidate | None:
     """Fit the open container of revolution that best explains the evidence; None if no points lie inside a rim."""
     axis, radius = _rim_axis(evidence)
-    if cavity_share(evidence, axis, radius) < 0.08:
+    if _seen_through_rim(evidence, axis, radius).mean() < OPEN:
         return None
-    fit = _fit(evidence, axis, radius, hollow_profile, hollow=True)
-    rim = float(fit.profile[:, 0].max())
-    return fit if cavity_share(evidence, fit.X_WO.p[:2], rim) >= 0.08 else None
+    axis, profile = _fit(evidence, axis, radius, hollow_profile)
+    if _seen_through_rim(evidence, axis, float(profile[:, 0].max())).mean() < OPEN:
+        return None
+    return _candidate("hollow", evidence, axis, profile)
 
 
 def _fit(
-    evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array], *, hollow: bool
-) -> LatheFit:
-    def judge(x: Array) -> RayAgreement:
-        return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile_of(evidence, x), _pose(evidence, x)))
+    evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array]
+) -> tuple[Array, Array]:
+    """Search the axis near ``axis`` [m]; return it with its profile."""
 
-    view = evidence.view
-    starts = [axis + shift * radius * view for shift in (-0.3, 0.0, 0.3)]
-    start = min(starts, key=lambda x: judge(x).cost)
-    _, best = search(lambda x: judge(x).cost, start, np.array([0.15 * radius, 0.15 * radius]), 60)
-    return LatheFit(profile_of(evidence, best), _pose(evidence, best), judge(best), hollow)
+    def cost(x: Array) -> float:
+        return _agreement(evidence, x, profile_of(evidence, x)).cost
+
+    start = min((axis + shift * radius * evidence.view for shift in (-0.3, 0.0, 0.3)), key=cost)
+    _, best = search(cost, start, np.array([0.15 * radius, 0.15 * radius]), 60)
+    return best, profile_of(evidence, best)
+
+
+def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
+    """The solid of a profile without the corners that change it by less than ``PROFILE_STEP``; its ends stay put."""
+    import shapely
+
+    line = shapely.LineString(np.round(profile, 4)).simplify(PROFILE_STEP, preserve_topology=False)
+    simple = np.asarray(line.coords)
+    judged = _agreement(evidence, axis, profile)
+    return FitCandidate(family, revolved(simple, SIDES), _pose(evidence, axis), judged, profile=simple)
+
+
+def _agreement(evidence: Evidence, axis: Array, profile: Array) -> RayAgreement:
+    return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile, _pose(evidence, axis)))
 
 
 def _pose(evidence: Evidence, axis: Array) -> Pose:
@@ -72,24 +85,14 @@ def _cylindrical(evidence: Evidence, axis: Array) -> tuple[Array, Array]:
 
 def _level_radii(r: Array, z: Array, edges: Array) -> Array:
     """Median radius in each level between ``edges``, NaN where there are too few points."""
-    level = np.clip(np.searchsorted(edges, z) - 1, 0, len(edges) - 2)
-    out = np.full(len(edges) - 1, np.nan)
-    for k in range(len(out)):
-        here = r[level == k]
-        if len(here) >= _MIN_IN_LEVEL:
-            out[k] = np.median(here)
-    return out
+    level = np.clip(np.searchsorted(edges, z) - 1, 0, LEVELS - 1)
+    return binned(level, r, LEVELS, _MIN_IN_LEVEL, np.median)
 
 
 def _fill(z: Array, radii: Array, fallback: float) -> Array:
     """Interpolate unseen levels; hold the ends."""
-    seen = np.isfinite(radii)
-    if not seen.any():
-        return np.full(len(z), max(fallback, _MIN_RADIUS))
-    filled = np.interp(z, z[seen], radii[seen])
-    padded = np.concatenate([filled[:1], filled, filled[-1:]])
-    smooth = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
-    return np.asarray(np.maximum(smooth, _MIN_RADIUS))
+    filled = smooth_gaps(z, radii) if np.isfinite(radii).any() else np.full(len(z), fallback)
+    return np.maximum(filled, _MIN_RADIUS)
 
 
 def solid_profile(evidence: Evidence, axis: Array) -> Array:
@@ -105,59 +108,40 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
     return np.vstack([[0.0, height], np.column_stack([outline, heights]), [0.0, 0.0]])
 
 
-def through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
-    """Select the points seen through the disk of ``radius`` [m] at the height of the rim, and lie clearly below it."""
-    rim = evidence.top
-    below = rim - evidence.points[:, 2]
+def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
+    """Mark the points seen through the disk of ``radius`` [m] at the height of the rim, and clearly below it."""
+    below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
     crossing = evidence.points[:, :2] + share[:, None] * (evidence.eye[:2] - evidence.points[:, :2])
     distance = np.hypot(*(crossing - axis).T)
-    return np.asarray((below > max(evidence.scale, 0.1 * (rim - evidence.base_z))) & (distance < radius - WALL))
-
-
-def cavity_share(evidence: Evidence, axis: Array, radius: float) -> float:
-    """Share of the points that can only be seen if the object is open at the top."""
-    return float(through_rim(evidence, axis, radius).mean()) if len(evidence.points) else 0.0
+    deep = below > max(evidence.scale, 0.1 * (evidence.top - evidence.base_z))
+    return np.asarray(deep & (distance < radius - WALL))
 
 
 def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     """Profile of an open container about ``axis``: cavity floor, inner wall, rim, outer wall, foot."""
     r, z = _cylindrical(evidence, axis)
     height = max(evidence.top - evidence.base_z, 4 * FLOOR)
-    rim = _rim_radius(r, z, height, evidence.scale)
-    inner = through_rim(evidence, axis, rim)
+    near_rim = r[z > height - max(0.8 * evidence.scale, 0.08 * height)]
+    rim = float(np.percentile(near_rim, 90) if len(near_rim) >= _MIN_IN_LEVEL else np.percentile(r, 95))
+    inner = _seen_through_rim(evidence, axis, rim)
     edges = np.linspace(0.0, height, LEVELS + 1)
     centers = (edges[:-1] + edges[1:]) / 2
     outside = _level_radii(r[~inner], z[~inner], edges)
     inside = _level_radii(r[inner], z[inner], edges)
-    pooled = np.where(np.isfinite(outside), outside, inside + WALL)
-    outer = _fill(centers, pooled, rim)
-    floor = _floor(r, z, inner, rim, height)
-    levels = np.concatenate([[0.0], centers, [height]])
-    outer_at = np.concatenate([outer[:1], outer, [max(outer[-1], rim)]])
-    outer_at = np.maximum(outer_at, _MIN_RADIUS + WALL)
-    cavity = levels > floor + 1e-6
-    seen = np.where(np.isfinite(inside), inside, np.inf)
-    limit = np.concatenate([[np.inf], seen, [np.inf]])
-    inner_at = np.maximum(np.minimum(outer_at - WALL, np.maximum(limit, outer_at - 4 * WALL)), _MIN_RADIUS)
-    floor_radius = float(np.interp(floor, levels, inner_at))
-    inward = np.vstack([[floor_radius, floor], np.column_stack([inner_at, levels])[cavity]])
-    outward = np.column_stack([outer_at[::-1], levels[::-1]])
-    return np.vstack([[0.0, floor], inward, outward, [0.0, 0.0]])
-
-
-def _rim_radius(r: Array, z: Array, height: float, scale: float) -> float:
-    near = r[z > height - max(0.8 * scale, 0.08 * height)]
-    return float(np.percentile(near, 90)) if len(near) >= _MIN_IN_LEVEL else float(np.percentile(r, 95))
-
-
-def _floor(r: Array, z: Array, inner: NDArray[np.bool_], rim: float, height: float) -> float:
-    """Height [m] of the cavity's floor: as seen near the axis, else as deep as the points seen, else ``FLOOR``."""
+    outer = _fill(centers, np.where(np.isfinite(outside), outside, inside + WALL), rim)
+    floor = min(FLOOR, 0.3 * height)
     central = z[inner & (r < 0.4 * rim)]
     if len(central) >= 2 * _MIN_IN_LEVEL:
-        return float(np.clip(np.median(central), FLOOR, height - 2 * FLOOR))
-    return min(FLOOR, 0.3 * height)
+        floor = float(np.clip(np.median(central), FLOOR, height - 2 * FLOOR))
+    levels = np.concatenate([[0.0], centers, [height]])
+    outer_at = np.maximum(np.concatenate([outer[:1], outer, [max(outer[-1], rim)]]), _MIN_RADIUS + WALL)
+    limit = np.concatenate([[np.inf], np.where(np.isfinite(inside), inside, np.inf), [np.inf]])
+    inner_at = np.maximum(np.minimum(outer_at - WALL, np.maximum(limit, outer_at - 4 * WALL)), _MIN_RADIUS)
+    wall = np.column_stack([inner_at, levels])[levels > floor + 1e-6]
+    outward = np.column_stack([outer_at[::-1], levels[::-1]])
+    return np.vstack([[0.0, floor], [np.interp(floor, levels, inner_at), floor], wall, outward, [0.0, 0.0]])
 
 
 def _rim_axis(evidence: Evidence) -> tuple[Array, float]:

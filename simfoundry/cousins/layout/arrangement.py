@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from simfoundry.cousins.layout.rejection_sampling import (
     Allowed,
-    Demands,
+    Clear,
     Found,
     Mask,
     Occupancy,
@@ -29,6 +30,9 @@ from simfoundry.cousins.layout.twin import Twin
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.place import CLEARANCE
 
+GAP = 0.002
+"""Clearance between objects that are not meant to touch [m], equal to the contact margin of engines."""
+
 EACH = 4
 """Number of candidates per object in a batch."""
 
@@ -37,50 +41,14 @@ TOGETHER = 24
 
 Spot = tuple[float, float, float]
 
-ClearAt = Callable[[int, Spot, tuple[int, ...]], bool]
-"""Return whether an object, given by its index, is clear at a spot of the entries whose rectangles it meets."""
-
-Put = Callable[[int, Spot], None]
-"""Place an object at a spot by adding it to the standing objects."""
-
-Alone = Callable[[int], Found]
-"""Search for a place for one object on its own."""
-
-
-def place_together(
-    things: Sequence[tuple[Outline, Region]],
-    there: Occupancy,
-    rng: np.random.Generator,
-    gap: float,
-    clear: ClearAt,
-    put: Put,
-    alone: Alone,
-) -> tuple[int, Found] | None:
-    """Place objects in order; return the index and search result of the first that finds no place, or None."""
-    for first in range(0, len(things), TOGETHER):
-        block = _Block(things[first : first + TOGETHER], there, rng, gap)
-        for t in range(len(block.things)):
-            spot, entered = block.first_clear(t, lambda s, met, k=first + t: clear(k, s, met)), there.count  # type: ignore[misc]
-            chosen = spot is not None
-            if spot is None:
-                found = alone(first + t)
-                if found.spot is None:
-                    return first + t, found
-                spot = found.spot
-            put(first + t, spot)
-            block.entered(t, range(entered, there.count), chosen)
-    return None
-
 
 class _Block:
     """Candidates of several objects, :data:`EACH` per object, and their overlaps with each other and with standing
     objects.
     """
 
-    def __init__(
-        self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator, gap: float
-    ) -> None:
-        self.things, self._there, self._gap = things, there, gap
+    def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator) -> None:
+        self._there = there
         outlines, regions = [o for o, _ in things], [r for _, r in things]
         low, span = (np.repeat(np.array([r.span[k] for r in regions]), EACH, axis=0) for k in (0, 1))
         drawn = rng.random((len(things) * EACH, 3)) * span + low
@@ -105,24 +73,22 @@ class _Block:
         live = np.flatnonzero(standing)
         p, size = self._center[live], np.abs(self._half[live])
         dx, dy = p.real - p.real[:, None], p.imag - p.imag[:, None]
-        reach = size + (size[:, None] + self._gap)
+        reach = size + (size[:, None] + GAP)
         close = dx * dx + dy * dy < reach * reach
         i, j = close.nonzero()
         i, j = live[i], live[j]
-        other = (i // EACH < j // EACH) & (self._low[i] < self._high[j] + self._gap)
-        other &= self._low[j] < self._high[i] + self._gap
+        other = (i // EACH < j // EACH) & (self._low[i] < self._high[j] + GAP)
+        other &= self._low[j] < self._high[i] + GAP
         i, j = i[other], j[other]
         met = rectangles_meet(
-            self._center[j] - self._center[i], self._side[i], self._half[i], self._side[j], self._half[j], self._gap
+            self._center[j] - self._center[i], self._side[i], self._half[i], self._side[j], self._half[j], GAP
         )
         for a, b in zip(i[met].tolist(), j[met].tolist(), strict=True):
             self._meets.setdefault(a, []).append(b)
 
     def _meet_entries(self, entries: range) -> None:
         """Record which candidates overlap the given entries."""
-        for c, entry in self._there.all_met(
-            entries, self._center, self._side, self._half, self._low, self._high, self._gap
-        ):
+        for c, entry in self._there.all_met(entries, self._center, self._side, self._half, self._low, self._high, GAP):
             self._doubt(c, entry)
 
     def _doubt(self, c: int, entry: int) -> None:
@@ -131,11 +97,11 @@ class _Block:
         else:
             self._doubts.setdefault(c, []).append(entry)
 
-    def first_clear(self, t: int, clear: Callable[[Spot, tuple[int, ...]], bool]) -> Spot | None:
+    def first_clear(self, t: int, clear: Clear) -> Spot | None:
         """Return the first candidate of an object that is clear of all standing objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
-            if not self._dead[c] and (not doubts or clear(self._spots[c], doubts)):
+            if not self._dead[c] and (not doubts or clear(*self._spots[c], doubts)):
                 self._chosen[t] = c
                 return self._spots[c]
         return None
@@ -163,10 +129,6 @@ def _spreads(outlines: Sequence[Outline]) -> Array:
 def _each(values: Sequence[complex]) -> Complex:
     """Repeat one value per object for each of its candidates."""
     return np.repeat(np.array(values, dtype=np.complex128), EACH)
-
-
-GAP = 0.002
-"""Clearance between objects that are not meant to touch [m], equal to the contact margin of engines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,19 +217,14 @@ class Arrangement:
         """Find a free place for an object; ``also`` is a further test, called with the object posed among the
         solids.
         """
-        owners, on = self.there.owners, region.support.name
         self._stand_on(region.support)
-
-        def clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-            self.pose(thing, thing.pose(x, y, region.z, yaw))
-            return not self.clashes(thing, sorted({owners[k] for k in met}), on)
 
         def last(x: float, y: float, yaw: float) -> bool:
             self.pose(thing, thing.pose(x, y, region.z, yaw))
             return also is None or also()
 
-        demands = Demands(allowed, clear, None if also is None else last)
-        found = find(thing.outline, region, self.there, rng, GAP, demands)
+        clear = partial(self._is_clear, thing, region)
+        found = find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
         self.tries += found.tried
         return found
 
@@ -277,26 +234,27 @@ class Arrangement:
         """Place objects anywhere on a support, one after another; return the first that finds no place and its search
         result.
         """
-        owners = self.there.owners
         self._stand_on(support)
-        placed = [(thing.outline, thing.anywhere(support)) for thing in things]
         self.tries += EACH * len(things)
+        for first in range(0, len(things), TOGETHER):
+            batch = [(thing, thing.anywhere(support)) for thing in things[first : first + TOGETHER]]
+            block = _Block([(thing.outline, region) for thing, region in batch], self.there, rng)
+            for t, (thing, region) in enumerate(batch):
+                entered = self.there.count
+                chosen = spot = block.first_clear(t, partial(self._is_clear, thing, region))
+                if spot is None:
+                    found = self.find(thing, region, rng)
+                    if found.spot is None:
+                        return thing, found
+                    spot = found.spot
+                self.put(thing, region.z, spot)
+                block.entered(t, range(entered, self.there.count), chosen is not None)
+        return None
 
-        def clear(k: int, spot: tuple[float, float, float], met: tuple[int, ...]) -> bool:
-            x, y, yaw = spot
-            self.pose(things[k], things[k].pose(x, y, placed[k][1].z, yaw))
-            return not self.clashes(things[k], sorted({owners[entry] for entry in met}), support.name)
-
-        failed = place_together(
-            placed,
-            self.there,
-            rng,
-            GAP,
-            clear,
-            lambda k, spot: self.put(things[k], placed[k][1].z, spot),
-            lambda k: self.find(things[k], placed[k][1], rng),
-        )
-        return None if failed is None else (things[failed[0]], failed[1])
+    def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
+        """Return whether an object at a place is clear of the entries whose rectangles it meets."""
+        self.pose(thing, thing.pose(x, y, region.z, yaw))
+        return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
         """Return whether an object or one of its riders is closer to one of the others than the clearance.
@@ -321,7 +279,7 @@ class Arrangement:
             self.twin.solids.put(name, pose)
         return poses
 
-    def put(self, thing: Placeable, z: float, spot: tuple[float, float, float], dropped: bool = False) -> None:
+    def put(self, thing: Placeable, z: float, spot: Spot, dropped: bool = False) -> None:
         """Place an object with its frame at x, y [m] and rotated about z [rad]."""
         x, y, yaw = spot
         poses = self.pose(thing, thing.pose(x, y, z, yaw))

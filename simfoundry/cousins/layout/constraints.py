@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
 from simfoundry.predicates.judging.thresholds import ENCLOSED
-from simfoundry.predicates.relative import viewer_axis
+from simfoundry.predicates.relative import AXES, viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
@@ -260,8 +260,6 @@ DROPPED = {"OnTop": "on", "Inside": "inside"}
 
 AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
-_WAYS = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
-
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
     """Largest sets of predicates that can hold at once, with up to ``together`` members, such that each predicate is in
@@ -289,9 +287,9 @@ def compatible(words: Iterable[str]) -> bool:
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
     """Horizontal unit vector of the side that a word denotes, shape (3,); None for a word that denotes no side."""
-    if word not in _WAYS:
+    if word not in AXES:
         return None
-    column, sign = _WAYS[word]
+    column, sign = AXES[word]
     return sign * viewer_axis(viewer, column)
 
 

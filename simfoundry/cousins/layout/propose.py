@@ -186,11 +186,10 @@ def _place(
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
     """Region in which an object is no farther from the anchor than the maximum gap."""
-    shape = table.twin.shape(anchor, table.poses[anchor])
-    spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
+    lowest, highest = table.twin.box(anchor, table.poses[anchor])
     reach = axis.gap[1] + thing.outline.radius
-    low = np.maximum(support.bounds[0], spans[:, 0] - reach)
-    high = np.minimum(support.bounds[1], spans[:, 1] + reach)
+    low = np.maximum(support.bounds[0], lowest[:2] - reach)
+    high = np.minimum(support.bounds[1], highest[:2] + reach)
     turn = (math.radians(axis.yaw_deg[0]), math.radians(axis.yaw_deg[1]))
     return Region(low, np.maximum(low, high), turn, support, thing.height(support))
 

@@ -180,64 +180,45 @@ class Found:
     allowed: int
 
 
-@dataclass(frozen=True, eq=False)
-class Demands:
-    """Further tests of a place that is over the support and clear of box-shaped objects.
-
-    ``allowed`` is called with many candidates at once; ``clear`` with one that meets rectangles of entries, and their
-    indices; ``last`` with one that is clear.
-    """
-
-    allowed: Allowed | None = None
-    clear: Clear | None = None
-    last: Last | None = None
-
-
 def find(
     outline: Outline,
     region: Region,
     there: Occupancy,
     rng: np.random.Generator,
     gap: float,
-    demands: Demands,
-    tries: int = TRIES,
+    allowed: Allowed | None = None,
+    clear: Clear | None = None,
+    last: Last | None = None,
 ) -> Found:
-    """Find a place for an object in a region, uniform over all that pass every test, with at most ``tries``
-    candidates.
+    """Find a place for an object in a region, uniform over all that pass every test.
+
+    The tests come after those for the support and for box-shaped objects: ``allowed`` is called with many candidates at
+    once, ``clear`` with one that meets rectangles of entries, ``last`` with one that is clear.
     """
     tried = standing = permitted = 0
-    size, offset = FIRST if demands.allowed is None else FIRST_JUDGED, outline.middle
-    while tried < tries:
+    size, offset = FIRST if allowed is None else FIRST_JUDGED, outline.middle
+    while tried < TRIES:
         center, yaw = region.draw(rng, size)
         turn = np.exp(1j * yaw)
         tried += size
         size = min(4 * size, MOST)
         left = region.support.holds(center, turn, outline.spread).nonzero()[0]
         standing += len(left)
-        if demands.allowed is not None and len(left):
-            p = _frames(center[left], turn[left], offset)
-            left = left[demands.allowed(p.real, p.imag, yaw[left])]
+        if allowed is not None and len(left):
+            p = center[left, 0] + 1j * center[left, 1] - turn[left] * offset
+            left = left[allowed(p.real, p.imag, yaw[left])]
             permitted += len(left)
         if not len(left):
             continue
         center, yaw, turn = center[left], yaw[left], turn[left]
-        for k, met in _unblocked(outline, region.z, there, gap, demands.last is None, center, turn):
-            if met and (demands.clear is None or not demands.clear(*_spot(center[k], yaw[k], turn[k], offset), met)):
+        for k, met in _unblocked(outline, region.z, there, gap, last is None, center, turn):
+            p = complex(*center[k].tolist()) - complex(turn[k]) * offset
+            spot = p.real, p.imag, float(yaw[k])
+            if met and (clear is None or not clear(*spot, met)):
                 continue
-            spot = _spot(center[k], yaw[k], turn[k], offset)
-            if demands.last is None or demands.last(*spot):
+            if last is None or last(*spot):
                 return Found(spot, tried, standing, permitted)
     return Found(None, tried, standing, permitted)
-
-
-def _frames(center: Array, turn: Complex, offset: complex) -> Complex:
-    """Frame positions x + iy [m] of objects whose rectangles have the given centers."""
-    return np.asarray(center[:, 0] + 1j * center[:, 1] - turn * offset)
-
-
-def _spot(center: Array, yaw: float, turn: complex, offset: complex) -> tuple[float, float, float]:
-    p = complex(*center.tolist()) - complex(turn) * offset
-    return p.real, p.imag, float(yaw)
 
 
 def _unblocked(

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from simfoundry.cousins.layout.supports import Outline, Support
-from simfoundry.cousins.layout.twin_objects import Solids, TwinObject, TwinRobots, joined, link_shadows
+from simfoundry.cousins.layout.twin_objects import Solids, TwinObject, TwinRobots, link_shadows
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.resets.placement import rounded
@@ -20,6 +20,7 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.predicate import Condition, parse_call, texts
@@ -65,6 +66,12 @@ class Twin:
     carried: Mapping[str, tuple[str, ...]]
     absent: frozenset[str] = frozenset()
     base: Twin | None = field(default=None, repr=False)
+    # Caches of this twin alone: placement constraints by the text of their axis; objects to be placed by name, support
+    # and riders; objects at rest by name; and shadows of objects with riders.
+    constraints: dict[str, PlacementConstraints | ImpossibleError] = field(default_factory=dict, init=False, repr=False)
+    placeables: dict[tuple[str, str, tuple[str, ...]], Placeable] = field(default_factory=dict, init=False, repr=False)
+    _objects: dict[str, TwinObject] = field(default_factory=dict, init=False, repr=False)
+    _outlines: dict[tuple[object, ...], Outline] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def load(cls, path: Path, cache: Cache | None = None) -> Twin:
@@ -101,7 +108,9 @@ class Twin:
         known = {item.name for item in self.scene.objects}
         here = tuple(new.get(item.name, item) for item in self.scene.objects)
         absent = [item for item in objects if item.name not in known]
-        more = tuple(replace(item, X_WO=_away(item, k)) for k, item in enumerate(absent, 1 + len(self.absent)))
+        # Absent objects keep their orientation: engines start there, and none must meet another.
+        away = [Pose.of((ELSEWHERE * (1 + len(self.absent) + k), 0.0, 0.0), o.X_WO.q) for k, o in enumerate(absent)]
+        more = tuple(replace(item, X_WO=X_WO) for item, X_WO in zip(absent, away, strict=True))
         poses = dict(self.state.poses) | {item.name: item.X_WO for item in more}
         joints = {k: v for k, v in self.state.joints.items() if k.partition(".")[0] not in new}
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
@@ -151,24 +160,6 @@ class Twin:
             made.put(name, pose)
         return made
 
-    @cached_property
-    def _objects(self) -> dict[str, TwinObject]:
-        return {}
-
-    @cached_property
-    def _outlines(self) -> dict[tuple[str, tuple[float, ...], tuple[str, ...]], Outline]:
-        return {}
-
-    @cached_property
-    def constraints(self) -> dict[str, PlacementConstraints | ImpossibleError]:
-        """Cached placement constraints, by the text of their axis."""
-        return {}
-
-    @cached_property
-    def placeables(self) -> dict[tuple[str, str, tuple[str, ...]], Placeable]:
-        """Cached objects to be placed, by name, support and riders."""
-        return {}
-
     # -- shapes -------------------------------------------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> TwinObject:
@@ -195,9 +186,7 @@ class Twin:
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
         """Lowest and highest corner of an object's bounding box in the world [m], shape (3,) each."""
-        shape = self[name].shape
-        corners, radius = X_WO.apply(shape.corners), shape.radius[shape.part, None]
-        return (corners - radius).min(axis=0), (corners + radius).max(axis=0)
+        return self[name].shape.posed(X_WO).bounds()
 
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
         """Shadow of each link of an object at a pose, in the world."""
@@ -274,8 +263,8 @@ class Twin:
         key = (name, tuple(upright.q.tolist()), tuple(along))
         if key not in self._outlines:
             back = upright @ self.state.poses[name].inverse()
-            shapes = [self.shape(name, upright), *(self.shape(n, back @ self.state.poses[n]) for n in along)]
-            self._outlines[key] = Outline.of(joined(shapes))
+            items = [self.item_at(n, back @ self.state.poses[n]) for n in along]
+            self._outlines[key] = Outline.of(hulls(self.item_at(name, upright), *items))
         return self._outlines[key]
 
     @cached_property
@@ -316,11 +305,6 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
         return False
     over = shapely.intersection(shapely.polygons(ground.corners), shapely.polygons(level.corners)).area
     return bool(over > 0.5 * shapely.polygons(ground.corners).area)
-
-
-def _away(item: SceneObject, k: int) -> Pose:
-    """Pose of the k-th absent object, oriented as written: engines start there, and it must not meet another."""
-    return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
 
 
 def bare(scene: Scene) -> Scene:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -112,12 +112,12 @@ class TwinObject:
     @cached_property
     def levels(self) -> tuple[Support, ...]:
         """Levels on which objects can stand, except those on links that joints move."""
-        return supports_of(self.item.name, self.placed, self._still_links())
+        return supports_of(self.item.name, self.placed, self.still_links)
 
     @cached_property
     def edges(self) -> list[tuple[float, BaseGeometry]]:
         """Heights [m] and areas that are level but too narrow to stand on."""
-        return edges_of(self.placed, self._still_links())
+        return edges_of(self.placed, self.still_links)
 
     def outline(self, upright: Pose) -> Outline:
         """Shadow of the object, ``upright`` at the origin."""
@@ -132,7 +132,8 @@ class TwinObject:
             self.supports[near] = support_of(self.item.name, self.placed, near)
         return self.supports[near]
 
-    def _still_links(self) -> list[int]:
+    @cached_property
+    def still_links(self) -> list[int]:
         """Indices of the links that no joint moves."""
         welded = weld_groups(self.item)
         return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
@@ -164,24 +165,6 @@ def _column(name: str, X_WB: Pose) -> SceneObject:
     collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
     link = Link("base", 0.0, none, frozen_array(np.zeros((3, 3)), (3, 3)), (), (collider,))
     return SceneObject(name, category="", fixed=True, X_WO=X_WB, links=(link,))
-
-
-def joined(shapes: Sequence[Hulls]) -> Hulls:
-    """Merge several shapes into one, for its extents and shadow; edges and faces are dropped if there are several."""
-    if len(shapes) == 1:
-        return shapes[0]
-    none = shapes[0].triangles[:0]
-    counts = np.cumsum([0, *(len(s.radius) for s in shapes[:-1])])
-    return Hulls(
-        np.concatenate([s.corners for s in shapes]),
-        shapes[0].edges[:0],
-        none,
-        shapes[0].normals[:0],
-        shapes[0].beside[:0],
-        np.concatenate([s.part + k for s, k in zip(shapes, counts, strict=True)]),
-        np.concatenate([s.radius for s in shapes]),
-        np.concatenate([s.link for s in shapes]),
-    )
 
 
 Index = NDArray[np.int64]

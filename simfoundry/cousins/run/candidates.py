@@ -202,13 +202,13 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     """Reasons why the twin's task is impossible with replaced objects that are each acceptable on their own."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
-    from simfoundry.cousins.tasks.proposals import context_at
+    from simfoundry.cousins.tasks.context import TaskContext
     from simfoundry.robots.reach import hands_of
 
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec.robots), ("mujoco",)))
+    return impossible(goal, TaskContext(draw.twin.at(found.state), hands_of(recipe.scene_spec.robots)))
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:

@@ -14,6 +14,7 @@ from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.cavity import Cavity, cavity, outside_part
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.predicates.judging.bodies import Bodies
+from simfoundry.predicates.relative import AXES, viewer_axis
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parse_call, parts, texts
@@ -23,8 +24,10 @@ TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER,
 """Roll and pitch relative to an object's standing orientation: unchanged, on each of four sides, upside down."""
 
 YAWS = (0.0, QUARTER, QUARTER / 2)
-SPREAD = 6
-"""Number of positions over a target besides its center and that of its cavity."""
+SPREAD = np.array([(1 / 2, 1 / 3), (1 / 4, 2 / 3), (3 / 4, 1 / 9), (1 / 8, 4 / 9), (5 / 8, 7 / 9), (3 / 8, 2 / 9)])
+"""Positions over a target besides its center and that of its cavity, as shares of its extents: the first six points of
+the Halton sequence with bases 2 and 3, which cover any rectangle evenly.
+"""
 
 STILL = 1e-3
 """Displacement [m] up to which an object counts as unmoved; levels have one height within a millimeter."""
@@ -32,8 +35,8 @@ STILL = 1e-3
 GAPS = (0.02, 0.05, 0.1)
 """Gap between objects placed beside each other [m]."""
 
-SIDES = {"Behind": (1, 0), "InFrontOf": (-1, 0), "LeftOf": (0, 1), "RightOf": (0, -1)}
-"""Direction in which each predicate places an object, in the viewer's frame: x away, y left."""
+AROUND = ("Behind", "InFrontOf", "LeftOf", "RightOf")
+"""Sides on which an object is tried that must be next to another, in this order."""
 
 
 def turns(setting: TaskContext, name: str) -> list[Array]:
@@ -50,7 +53,7 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
     """Positions of an object's center to try for a predicate: x, y in the world [m], the most likely first."""
-    if call.predicate in SIDES or call.predicate == "NextTo":
+    if call.predicate in AXES or call.predicate == "NextTo":
         return list(_beside(setting, call, state))
     if call.predicate == "At":
         return [(float(call.args[1]), float(call.args[2]))]
@@ -66,9 +69,7 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
         yield float(hole[0]), float(hole[1])
     low, high = setting.bounds(target, state)
     yield tuple(((low + high) / 2)[:2].tolist())
-    for k in range(1, SPREAD + 1):
-        share = np.array([_halton(k, 2), _halton(k, 3)])
-        yield tuple((low[:2] + share * (high - low)[:2]).tolist())
+    yield from map(tuple, (low[:2] + SPREAD * (high - low)[:2]).tolist())
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
@@ -87,9 +88,7 @@ def spots(level: Support) -> Iterator[tuple[float, float]]:
     """Yield positions on a level: x and y in the world [m], its center first."""
     yield level.middle
     low, high = level.bounds
-    for k in range(1, SPREAD + 1):
-        x, y = (low + np.array([_halton(k, 2), _halton(k, 3)]) * (high - low)).tolist()
-        yield x, y
+    yield from map(tuple, (low + SPREAD * (high - low)).tolist())
 
 
 def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
@@ -136,24 +135,11 @@ def _beside(setting: TaskContext, call: Call, state: SceneState) -> Iterator[tup
     own = setting.bounds(call.args[0], state)
     half, mine = (high - low)[:2] / 2, (own[1] - own[0])[:2] / 2
     middle = ((low + high) / 2)[:2]
-    viewer = setting.twin.scene.viewer
-    x_axis = np.array([1.0, 0.0]) if viewer is None else viewer.rotation[:2, 0]
-    x_axis = x_axis / max(float(np.linalg.norm(x_axis)), 1e-9)
-    y_axis = np.array([-x_axis[1], x_axis[0]])
-    ways = [SIDES[call.predicate]] if call.predicate in SIDES else list(SIDES.values())
-    for gap, (a, b) in product(GAPS, ways):
-        way = a * x_axis + b * y_axis
+    ways = [AXES[call.predicate]] if call.predicate in AXES else [AXES[name] for name in AROUND]
+    for gap, (column, sign) in product(GAPS, ways):
+        way = sign * viewer_axis(setting.twin.scene.viewer, column)[:2]
         far = float(np.abs(way) @ (half + mine)) + gap
         yield tuple((middle + far * way).tolist())
-
-
-def _halton(k: int, base: int) -> float:
-    found, share = 0.0, 1.0 / base
-    while k:
-        k, digit = divmod(k, base)
-        found += digit * share
-        share /= base
-    return found
 
 
 SYMMETRIC = ("NextTo", "Touching")

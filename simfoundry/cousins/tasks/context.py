@@ -22,14 +22,13 @@ from simfoundry.robots.reach import Hand, hands_of, nearest_miss
 from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
-from simfoundry.scene.object_shapes import solid
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.object_shapes import hulls, solid
+from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
-    from simfoundry.scene.state import SceneState
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -120,9 +119,6 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 
 def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
     """Other objects close enough to obstruct an approach."""
-    from simfoundry.scene.object_shapes import hulls
-    from simfoundry.scene.state import object_at
-
     twin = setting.twin
     found = []
     for item in twin.scene.objects:
@@ -132,8 +128,8 @@ def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, sta
         shape = hulls(object_at(item, state)) if moved else twin.shape(item.name, state.poses[item.name])
         if not len(shape.corners):
             continue
-        ends = np.array([shape.extent(axis) for axis in np.eye(3)])
-        if (ends[:, 0] < high + ROOM + HALF_WIDE).all() and (ends[:, 1] > low - ROOM - HALF_WIDE).all():
+        lowest, highest = shape.bounds()
+        if (lowest < high + ROOM + HALF_WIDE).all() and (highest > low - ROOM - HALF_WIDE).all():
             found.append(shape)
     return found
 
@@ -161,11 +157,7 @@ class TaskContext:
 
     @classmethod
     def load(
-        cls,
-        path: Path,
-        cache: Cache | None = None,
-        payload: float | None = None,
-        engines: tuple[str, ...] = ("mujoco",),
+        cls, path: Path, cache: Cache | None = None, payload: float | None = None, engines: Sequence[str] = ("mujoco",)
     ) -> TaskContext:
         """Load the context of a scene document. Raises :class:`SpecError`, or :class:`TwinError` if it does not settle.
 
@@ -173,7 +165,7 @@ class TaskContext:
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
-        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec.robots, payload), path, engines=engines)
+        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec.robots, payload), path, engines=tuple(engines))
 
     # -- object poses and joints ------------------------------------------------------------------------------------
 
@@ -187,8 +179,7 @@ class TaskContext:
             moved = {joint.name: joint.child for joint in item.joints}
             number = [link.name for link in item.links].index(moved.get(part, part))
             parts = parts.of_link(number)
-        ends = np.array([parts.extent(axis) for axis in np.eye(3)])
-        return ends[:, 0], ends[:, 1]
+        return parts.bounds()
 
     def joints(self, argument: str) -> tuple[Joint, ...]:
         """Joints named by ``object`` or ``object.joint`` that can be opened; empty if there are none."""

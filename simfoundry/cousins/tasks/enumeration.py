@@ -36,13 +36,6 @@ REGION, LEAST = 0.02, 0.005
 """Maximum and minimum half extent of an object's start region [m]; if its neighbors leave less, there is no region."""
 
 
-def task_of(idea: Idea, setting: TaskContext, scene: str, note: str) -> TaskSpec:
-    """Return the document of an idea; ``scene`` is the scene's relative path, ``note`` states the origin."""
-    released = [f"Released({thing})" for thing in idea.things]
-    goal: Any = {"all": (*idea.goal, *released)} if len(idea.goal) + len(released) > 1 else idea.goal[0]
-    return task(idea.name, setting, scene, instruction_of(idea), goal, subtasks(idea, setting), note)
-
-
 def task(
     name: str, setting: TaskContext, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
 ) -> TaskSpec:
@@ -96,11 +89,9 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
         if twin.carried.get(name) != (twin.ground,):
             continue
         low, high = hulls_of[name]
-        gaps = [
-            _gap(low, high, *box)
-            for other, box in hulls_of.items()
-            if other != name and name not in twin.carried.get(other, ())
-        ]
+        others = [box for n, box in hulls_of.items() if n != name and name not in twin.carried.get(n, ())]
+        # Two boxes are apart along the horizontal axis on which they are farther apart.
+        gaps = [float(np.maximum(low - other[1], other[0] - high)[:2].max()) for other in others]
         half = min([REGION, *(gap / 2 - 0.002 for gap in gaps)])
         if half >= LEAST:
             half = np.floor(half * 1000) / 1000
@@ -108,12 +99,6 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
             ends = [(round(v - half, 3), round(v + half, 3)) for v in (x, y)]
             found[name] = ResetRegion(x=ends[0], y=ends[1])
     return found
-
-
-def _gap(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
-    """Distance between two boxes along the horizontal axis on which they are farther apart [m]."""
-    apart = np.maximum(low[:2] - other_high[:2], other_low[:2] - high[:2])
-    return float(apart.max())
 
 
 def instruction_of(idea: Idea) -> str:
@@ -170,11 +155,6 @@ class Proposals:
         self.found: list[Proposal] = []
         self.accepted: list[AcceptedTask] = []
 
-    @property
-    def names(self) -> set[str]:
-        """Names of the accepted tasks."""
-        return {task.name for task in self.accepted}
-
     def add(self, name: str, goal: str, made: TaskSpec) -> None:
         """Propose a task; if it is accepted, withdraw those that it achieves along the way."""
         new = accept(made, self.setting, self.accepted)
@@ -206,8 +186,11 @@ def enumerate_tasks(
     for idea in ranked(setting, seed, objects):
         if len(proposed.accepted) == count:
             break
-        name = free_name(idea.name, proposed.names)
-        made = task_of(Idea(name, idea.goal, idea.steps, idea.odd), setting, scene or "scene.yaml", note)
+        name = free_name(idea.name, {accepted.name for accepted in proposed.accepted})
+        every = (*idea.goal, *(f"Released({thing})" for thing in idea.things))
+        goal: Any = {"all": every} if len(every) > 1 else every[0]
+        steps = subtasks(idea, setting)
+        made = task(name, setting, scene or "scene.yaml", instruction_of(idea), goal, steps, note)
         proposed.add(name, goal_words({"all": idea.goal}), made)
         progress(len(proposed.accepted), len(proposed.found))
     return proposed.found
@@ -235,9 +218,6 @@ def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
-SUFFIX = ".task.yaml"
-
-
 def scene_reference(scene: Path, out: Path) -> str:
     """Return the path by which a document in ``out`` names a scene."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
@@ -245,20 +225,20 @@ def scene_reference(scene: Path, out: Path) -> str:
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
     """Run ``simfoundry check`` on the proposals in ``out``; findings become reasons for refusal."""
-    return [_checked(proposal, out) for proposal in proposals]
-
-
-def _checked(proposal: Proposal, out: Path) -> Proposal:
-    if not proposal.accepted or proposal.task is None:
-        return proposal
-    loaded = load(file_of(proposal, out), text=to_yaml(proposal.task))
-    found = loaded.findings or [d for d in lint(loaded) if d.file == str(file_of(proposal, out))]
-    return replace(proposal, reasons=tuple(Reason("check", f"{d.code}: {d.message}") for d in found[:3]))
+    found = list(proposals)
+    for k, proposal in enumerate(proposals):
+        if proposal.accepted and proposal.task is not None:
+            file = file_of(proposal, out)
+            loaded = load(file, text=to_yaml(proposal.task))
+            wrong = loaded.findings or [d for d in lint(loaded) if d.file == str(file)]
+            reasons = tuple(Reason("check", f"{d.code}: {d.message}") for d in wrong[:3])
+            found[k] = replace(proposal, reasons=reasons)
+    return found
 
 
 def file_of(proposal: Proposal, out: Path) -> Path:
     """Path of a proposal's document."""
-    return out / f"{proposal.name}{SUFFIX}"
+    return out / f"{proposal.name}.task.yaml"
 
 
 def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.cousins.layout.supports import Support, supports_of
+from simfoundry.cousins.layout.supports import supports_of
 from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, objects_of
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
-from simfoundry.scene.kinematics import weld_groups
 from simfoundry.spec.models.predicate import Call, parts
 
 TOGETHER = 3
@@ -121,24 +120,16 @@ def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
 
 def _boards(setting: TaskContext, name: str) -> list[str]:
     """Static links of an object that each have a wide level, if there are several."""
-    twin = setting.twin
-    item = twin.scene.object(name)
-    welded = weld_groups(item)
-    still = [k for k, link in enumerate(item.links) if welded[link.name] == welded[item.root.name]]
-    if len(still) < 2:
+    own = setting.twin[name]
+    if len(own.still_links) < 2:
         return []
-    shape = twin.shape(name, twin.state.poses[name])
-    found = [
-        f"{name}.{item.links[k].name}"
-        for k in still
-        if any(_is_broad(level) for level in supports_of(name, shape, [k]))
-    ]
+
+    def is_broad(link: int) -> bool:
+        spans = [np.subtract(*level.bounds[::-1]) for level in supports_of(name, own.placed, [link])]
+        return any(span.min() >= BROAD for span in spans)
+
+    found = [f"{name}.{own.item.links[k].name}" for k in own.still_links if is_broad(k)]
     return found if len(found) > 1 else []
-
-
-def _is_broad(level: Support) -> bool:
-    low, high = level.bounds
-    return bool((high - low).min() >= BROAD)
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:

@@ -135,7 +135,7 @@ def judged(
 def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
     """Propose a task from a model's answer; return a refused proposal if no document can be made of it."""
     setting = proposed.setting
-    name = free_name(told.task_name, proposed.names)
+    name = free_name(told.task_name, {accepted.name for accepted in proposed.accepted})
     goal, wrong = goal_of(told)
     said = goal_words(goal)
     if wrong:
@@ -277,14 +277,9 @@ class TaskCousin:
         Empty if it is usable. Compatibility of the objects was verified in the twin and does not depend on the layout;
         it is verified again if any of them is among the ``others``, which replace the twin's objects.
         """
-        setting = context_at(twin, state, self.hands, self.engines)
+        setting = TaskContext(twin.at(state), self.hands, engines=self.engines)
         found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
         return found or (impossible(self.spec.goal, setting) if set(objects_of(self.spec.goal)) & set(others) else ())
-
-
-def context_at(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> TaskContext:
-    """Return the context of a twin in another state."""
-    return TaskContext(twin.at(state), hands, engines=engines)
 
 
 def task_cousins(

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.candidate_poses import branches, cavity_words, levels, objects_of, places, spots, turns
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
@@ -300,21 +301,13 @@ def _settled(
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
     """Yield candidate poses: the first contact from above, then standing on each level of the target."""
     target, within = _carrier(setting, name, calls)
-    for xy, q in _ways(setting, attempt, name, calls[0]):
-        yield partial(dropped, setting, name, target, within, xy, q, attempt.state)
-    for level in levels(setting, target, attempt.state) if calls[0].predicate in ON else ():
-        for xy in spots(level):
-            for q in turns(setting, name)[:FEW]:
-                yield partial(standing, setting, name, level, xy, q)
-
-
-def _ways(
-    setting: TaskContext, attempt: _Attempt, name: str, call: Call
-) -> Iterator[tuple[tuple[float, float], Array]]:
     every = turns(setting, name)
-    for k, xy in enumerate(places(setting, call, attempt.state)):
+    for k, xy in enumerate(places(setting, calls[0], attempt.state)):
         for q in every if k < 2 else every[:FEW]:
-            yield xy, q
+            yield partial(dropped, setting, name, target, within, xy, q, attempt.state)
+    for level in levels(setting, target, attempt.state) if calls[0].predicate in ON else ():
+        for xy, q in product(spots(level), every[:FEW]):
+            yield partial(standing, setting, name, level, xy, q)
 
 
 def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from simfoundry.cousins.layout.propose import Layout, propose, scatter
-from simfoundry.cousins.layout.rejection_sampling import Demands, Occupancy, Region, find, rectangles_meet
+from simfoundry.cousins.layout.rejection_sampling import Clear, Occupancy, Region, find, rectangles_meet
 from simfoundry.cousins.layout.supports import Outline, Support, support_of
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.layout.twin_objects import Solids
@@ -100,9 +100,9 @@ def test_real_parts_let_a_thing_stand_where_rectangles_overlap() -> None:
 # -- evenly over all that is allowed ---------------------------------------------------------------------------------
 
 
-def places(region: Region, outline: Outline, there: Occupancy, count: int, tests: Demands | None = None) -> np.ndarray:
+def places(region: Region, outline: Outline, there: Occupancy, count: int, clear: Clear | None = None) -> np.ndarray:
     rng = np.random.default_rng(7)
-    found = [find(outline, region, there, rng, 0.0, tests or Demands()).spot for _ in range(count)]
+    found = [find(outline, region, there, rng, 0.0, clear=clear).spot for _ in range(count)]
     assert None not in found
     return np.array(found)
 
@@ -143,7 +143,7 @@ def disk_clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
 
 def test_places_are_uniform_over_the_region_that_is_allowed() -> None:
     region, outline, there = ring()
-    spots = places(region, outline, there, 4000, Demands(clear=disk_clear))
+    spots = places(region, outline, there, 4000, disk_clear)
     assert pvalue(spots, free_of_pillar(0.05)) > 1e-3
     turned = stats.kstest(spots[:, 2], stats.uniform(-math.pi, 2 * math.pi).cdf)
     assert turned.pvalue > 1e-3
