@@ -43,9 +43,8 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec, find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
-from simfoundry.worlds.base import World
-from simfoundry.worlds.footing import center_of_mass
-from simfoundry.worlds.mounted import camera_of
+from simfoundry.worlds.base import World, camera_of
+from simfoundry.worlds.rest import center_of_mass
 
 ARM = "demo_arm"
 """The arm used: the one that needs no download."""

@@ -39,8 +39,7 @@ from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import parse_call, texts
-from simfoundry.worlds.base import World
-from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds.base import World, WorldRobot
 
 HOLD = 3
 """Number of consecutive control steps (0.2 s at 15 Hz) for which a goal must be true, so that passing through it does
