@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.diff.changes import copied
-from simfoundry.spec.change.edit_text import ABSENT
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.yaml.write import to_data
