@@ -40,7 +40,8 @@ from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot, lower_robot, mujoco_model
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.robot import RobotSpec, find_robot
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World, camera_of

@@ -13,10 +13,10 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.scene.state import pose
-from simfoundry.spec.models.robot import (
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import (
     ModelSpec,
     RobotFileSpec,
-    RobotSpec,
     known_robot_file,
     own_folder,
     read_robot_file,

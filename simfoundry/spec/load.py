@@ -50,7 +50,11 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     if kind is None:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding), document)
-    document, findings, bases = compose(document, kind, root)
+    findings, bases = list[Diagnostic](), list[Path]()
+    if isinstance(document.root.children, dict) and "extends" in document.root.children:
+        from simfoundry.spec.load import compose
+
+        document, findings, bases = compose(document, kind, root)
     if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
         return Loaded(path, root, None, tuple(findings), document, tuple(bases))
     return checked(Loaded(path, root, None, tuple(findings), document, tuple(bases)), kind, known)

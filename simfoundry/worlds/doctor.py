@@ -95,7 +95,8 @@ def _robots() -> Iterator[Part]:
     """Yield the known robots, with the command that installs their models if they are missing."""
     from simfoundry.scene.robot import lower_robot
     from simfoundry.scene.robot_files import NoModelError
-    from simfoundry.spec.models.robot import RobotSpec, find_robot, robot_names
+    from simfoundry.spec.models.robot import RobotSpec
+    from simfoundry.spec.models.robot_file import find_robot, robot_names
 
     for name in robot_names():
         found, remedy, purpose = "", "", ""

@@ -10,7 +10,7 @@ import pytest
 
 from simfoundry.cli.main import COMMANDS
 from simfoundry.runtime.extras import EXTRAS
-from simfoundry.spec.models.robot import robot_names
+from simfoundry.spec.models.robot_file import robot_names
 from tests.cli.command import MAIN, Done, absent, python, run, several, without
 
 SCENE = """\

@@ -89,7 +89,7 @@ def project(folder: Path) -> Path:
 
 def robots(folder: Path) -> dict[str, str]:
     """The environment in which robots are found; empty where their models are not here."""
-    from simfoundry.spec.models.robot import OWN_ROBOTS
+    from simfoundry.spec.models.robot_file import OWN_ROBOTS
     from tests.robots.conftest import FRANKA_ROBOTIQ, YAM
 
     data = REPOSITORY.parent / "shared" / "data" / "robots"

@@ -15,7 +15,7 @@ import pytest
 from simfoundry.spec.editor.reference import example
 from simfoundry.spec.models.kinds import KINDS, is_document
 from simfoundry.spec.models.predicate import built_in_predicates
-from simfoundry.spec.models.robot import robot_names
+from simfoundry.spec.models.robot_file import robot_names
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 

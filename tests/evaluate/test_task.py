@@ -10,7 +10,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.rollouts.control import physics_steps
 from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models.robot import OWN_ROBOTS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import SCENE, TASK, write_bench
 

@@ -9,7 +9,7 @@ import pytest
 
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.spec.models.robot import OWN_ROBOTS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.conftest import REPOSITORY
 
 FRANKA_ROBOTIQ = """\

@@ -16,7 +16,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.robot import ModelFormat
 from simfoundry.scene.robot_files import NoModelError, find_model, model_files
-from simfoundry.spec.models.robot import OWN_ROBOTS, find_robot, read_robot_file, robot_names
+from simfoundry.spec.models.robot_file import OWN_ROBOTS, find_robot, read_robot_file, robot_names
 from tests.cli.command import run
 from tests.conftest import PACKAGE, REPOSITORY
 

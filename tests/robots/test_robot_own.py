@@ -13,7 +13,7 @@ from simfoundry.evaluate.task import load_task, need_robots
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
-from simfoundry.spec.models.robot import OWN_ROBOTS, find_robot
+from simfoundry.spec.models.robot_file import OWN_ROBOTS, find_robot
 from simfoundry.worlds import open_world
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

@@ -12,7 +12,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.spec.models.robot import OWN_ROBOTS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.corpora.roundtrip import MAINS, trip_by_scene
 
 JOINTS = [f"joint{k}" for k in range(1, 7)]

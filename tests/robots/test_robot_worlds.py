@@ -16,7 +16,7 @@ from simfoundry.backends import compile_scene
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
-from simfoundry.spec.models.robot import OWN_ROBOTS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from simfoundry.worlds.base import camera_now
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY

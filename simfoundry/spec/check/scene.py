@@ -16,7 +16,7 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
-from simfoundry.spec.models.robot import RobotFiles, RobotSpec, find_robot, read_robot_file, robot_names
+from simfoundry.spec.models.robot import RobotFiles, RobotSpec
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
 
 if TYPE_CHECKING:
@@ -144,6 +144,8 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
             if c.file(file, (*path, "model", key), suffixes) and key == "file":
                 _robot_file(c, file, (*path, "model", key))
         return
+    from simfoundry.spec.models.robot_file import find_robot, robot_names
+
     try:
         known = find_robot(robot.model)
     except SimfoundryError as error:
@@ -158,6 +160,8 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 
 def _robot_file(c: Checker, reference: str, path: Path_) -> None:
     """Check a robot file without opening its models."""
+    from simfoundry.spec.models.robot_file import read_robot_file
+
     file = c.loaded.file(reference)
     try:
         read_robot_file(file)

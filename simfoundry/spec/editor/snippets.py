@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
-from simfoundry.spec.models.robot import find_robot, robot_names
+from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.spec.yaml.text import parse
 
 Body = str | tuple[Any, ...] | dict[str, Any]
