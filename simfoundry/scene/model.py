@@ -258,17 +258,13 @@ class Light:
     X_WL: Pose
 
 
-Splat = Gaussians
-"""Visual-only 3D Gaussians."""
-
-
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Visual surroundings of a scene, without collisions: visuals posed in a frame ``X_WB``, or a splat."""
+    """Visual surroundings of a scene, without collisions: visuals posed in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
-    splat: Splat | None = None
+    splat: Gaussians | None = None
 
 
 @dataclass(frozen=True)
