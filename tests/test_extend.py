@@ -17,7 +17,7 @@ from simfoundry.evaluate.entries import open_policy, parse_policy
 from simfoundry.spec.models.policy import PolicySpec
 from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.targets.find import find_target, target_names
-from simfoundry.targets.support import support_page
+from simfoundry.targets.generated import support_page
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.foreign_package import write_package

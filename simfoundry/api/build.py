@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
 from simfoundry.scene.model import Scene
-from simfoundry.targets.build import TARGETS, build
-from simfoundry.targets.report import report
+from simfoundry.targets.build import TARGETS, build, report
 
 if TYPE_CHECKING:
     import mujoco

@@ -242,6 +242,11 @@ def drop(feature: str, element: str, reason: str) -> Loss:
     return Loss(feature, element, Fidelity.DROPPED, reason)
 
 
+def combination_reason(simulator: str, rule: str, a: float, b: float, got: float, wanted: float) -> str:
+    """Return the reason of a loss if a simulator combines two coefficients by another rule than the scene."""
+    return f"{simulator} takes {rule} of a pair: {got:.3g} for {a:.3g} and {b:.3g}; the scene specifies {wanted:.3g}."
+
+
 def shared_losses(scene: Scene) -> Iterator[Loss]:
     """Yield the losses that lowering causes in every target, such as omitted parts and simplified colliders."""
     for part in scene.left_out:

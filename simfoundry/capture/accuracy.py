@@ -13,8 +13,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds
 
-SAME_OBJECT = 0.06
-"""Objects whose centers are farther apart than this [m] are different ones."""
+SAME_OBJECT = 0.06  # Objects whose centers are farther apart than this [m] are different ones
 
 F1_DISTANCE = 0.01
 

@@ -9,30 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame
+from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
-NEAR, FAR = 0.1, 5.0
-"""Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
-
-# Common units of depth pictures by their scale to meters, for a hint where depth is implausible.
-UNITS = {0.001: "millimeters", 0.0001: "tenths of a millimeter", 1.0: "meters", 0.01: "centimeters"}
-
+# Largest number of values of an array: Pillow's own limit of pixels against decompression bombs.
 NUMBERS_MAX = 178_956_970
-"""Largest number of values of an array: Pillow's own limit of pixels against decompression bombs."""
 
-FEWEST = 100
-"""Least number of pixels with usable depth."""
+FEWEST = 100  # Least number of pixels with usable depth
 
-USABLE_SHARE = 0.1
-"""Least share of usable measurements; with fewer, the unit is wrong or the picture shows no table."""
+USABLE_SHARE = 0.1  # Least share of usable measurements; with fewer, the unit is wrong or the picture shows no table
 
-CLOSEST_MEDIAN = 0.15
-"""Least median depth of a table [m]: below it the unit is wrong if another unit fits."""
+CLOSEST_MEDIAN = 0.15  # Least median depth of a table [m]: below it the unit is wrong if another unit fits
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
@@ -108,13 +99,14 @@ class _Reader:
             self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
             return None
         meters = np.where(valid, values * shot.depth.scale, np.nan)
-        usable = (meters >= NEAR) & (meters <= FAR)
+        usable = (meters >= NEAREST) & (meters <= FARTHEST)
         median = float(np.median(values[valid]))
         fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
         too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
         if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
             hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
-            share = f"{100 * usable.sum() / valid.sum():.0f}% of {shot.depth.image} lies between {NEAR:g} and {FAR:g} m"
+            percent = 100 * usable.sum() / valid.sum()
+            share = f"{percent:.0f}% of {shot.depth.image} lies between {NEAREST:g} and {FARTHEST:g} m"
             self.fail("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
             return None
         if usable.sum() < FEWEST:
@@ -206,7 +198,7 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
     height, width = size
     points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
     x, y, z = X_color_depth.apply(points).T
-    ahead = z > NEAR
+    ahead = z > NEAREST
     x, y, z = x[ahead], y[ahead], z[ahead]
     u, v = x / z * K_color[0, 0] + K_color[0, 2], y / z * K_color[1, 1] + K_color[1, 2]
     half = 0.5 * max(K_color[0, 0] / K_depth[0, 0], K_color[1, 1] / K_depth[1, 1])

@@ -167,23 +167,18 @@ def _names(
     return dict(zip(shapes, unique_names((wanted[k] for k in shapes), [SUPPORT_NAME]), strict=True))
 
 
+# Distance below the top of its support at which a supported object is not seen [m]; fitted tops err by 1 to 2 cm.
 SUNK = 0.03
-"""Distance below the top of its support at which a supported object is not seen [m]; fitted tops err by 1 to 2 cm."""
 
-DOUBTFUL = 0.05
-"""Least confidence of a fit: below it, the solid explains next to none of the visible points."""
+DOUBTFUL = 0.05  # Least confidence of a fit: below it, the solid explains next to none of the visible points
 
-CARRIED = 0.25
-"""Least share of an object's visible points that lie above its support."""
+CARRIED = 0.25  # Least share of an object's visible points that lie above its support
 
-FOOTHOLD = 0.01
-"""Distance by which a support reaches beyond the middle of the object on it [m]."""
+FOOTHOLD = 0.01  # Distance by which a support reaches beyond the middle of the object on it [m]
 
-DEEPEST = 0.12
-"""Greatest depth that may be added to a box for that [m]."""
+DEEPEST = 0.12  # Greatest depth that may be added to a box for that [m]
 
-EDGE = 0.01
-"""Distance by which they may lie beyond its edge [m]."""
+EDGE = 0.01  # Distance by which they may lie beyond its edge [m]
 
 
 def fit_segments(

@@ -10,30 +10,26 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.solids import prism_mesh
 from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.masks import simplified
+from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
 
-DEFAULT_THICKNESS = 0.03
-"""Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm."""
+DEFAULT_THICKNESS = 0.03  # Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm
 
-EDGE = 0.015
-"""Points this close to the outline [m], and below the top, belong to its edge."""
+THINNEST = 0.012  # [m] of a table top; what is thinner is the noise of its rim
+EDGE = 0.015  # Points this close to the outline [m], and below the top, belong to its edge
 
+# Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit.
 TEXTURE_STEP = 0.002
-"""Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
 TEXTURE_LIMIT = 1024  # [px] longer side of the texture: at most 3 MB, finer than a camera at a meter sees a table
 
-IN_FRONT = 0.02
-"""What is measured this much nearer than the top [m] hides it, whether or not it became an object."""
+IN_FRONT = 0.02  # What is measured this much nearer than the top [m] hides it, whether or not it became an object
 
-MARGIN = 0.01
-"""How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
-
-MOST_CORNERS = 24
-"""Corners of an outline: more than a person wants to read add nothing to a table."""
+MARGIN = 0.01  # How far a support reaches beyond what stands on it [m], where its own edge is not seen there
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
@@ -47,18 +43,7 @@ def beneath(outline: Array, footprints: list[Array]) -> Array:
             joined = whole.union(ground)
             # Something that stands apart from the seen surface is joined to it by the shortest way.
             whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
-    return _simplified(shapely.Polygon(whole.exterior))
-
-
-def _simplified(polygon: Polygon) -> Array:
-    """Its corners, counter-clockwise, at most :data:`MOST_CORNERS`: as coarse as that needs, no coarser."""
-    import shapely
-
-    tolerance = 0.002
-    simple = polygon.simplify(tolerance)
-    while len(simple.exterior.coords) - 1 > MOST_CORNERS:
-        tolerance *= 1.5
-        simple = polygon.simplify(tolerance)
+    simple = simplified(shapely.Polygon(whole.exterior), 0.002, growth=1.5)
     return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
 
 
@@ -88,14 +73,12 @@ def thickness(frame: Frame, support: SupportSurface) -> Thickness:
     near = below[shapely.distance(ring, shapely.points(below[:, :2])) < EDGE] if len(below) else below
     if len(near) < 300:
         return Thickness(DEFAULT_THICKNESS, False)
-    depths = -near[:, 2]
-    counts, edges = np.histogram(depths, bins=np.arange(0.004, 0.124, 0.004))
+    counts, edges = np.histogram(-near[:, 2], bins=np.arange(0.004, 0.124, 0.004))
     dense = counts > 0.02 * len(near)
-    if not dense[0] or dense.all():
-        return Thickness(DEFAULT_THICKNESS, False)
     end = int(np.argmin(dense))  # the edge is one band that starts at the top
-    value = float(edges[end])
-    return Thickness(value, True) if value >= 0.012 else Thickness(DEFAULT_THICKNESS, False)
+    if not dense[0] or dense.all() or edges[end] < THINNEST:
+        return Thickness(DEFAULT_THICKNESS, False)
+    return Thickness(float(edges[end]), True)
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
@@ -132,7 +115,7 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
     measured = cv2.remap(frame.depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
     with np.errstate(invalid="ignore"):
         seen &= ~(measured < depth - IN_FRONT)  # where there is no depth, the surface is taken to be what is seen
-    return _png(_filled(color, seen & (in_camera[..., 2] > 0)))
+    return encode_png(_filled(color, seen & (in_camera[..., 2] > 0)))
 
 
 def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -153,12 +136,3 @@ def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uin
     if missing.any():
         out[missing] = (values.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0)).astype(np.uint8)
     return out
-
-
-def _png(picture: NDArray[np.uint8]) -> bytes:
-    import cv2
-
-    ok, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not ok:
-        raise ValueError("the texture could not be encoded")
-    return bytes(data)

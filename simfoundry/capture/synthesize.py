@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,52 +29,27 @@ class SensorModel:
     so that the spread has no step); ``lateral`` is their 0.8 px for a surface that faces the camera.
     """
 
-    axial_base: float = 0.0012
-    """Spread at ``axial_origin`` [m]."""
-    axial_growth: float = 0.0019
-    """Growth of the spread with the square of the distance [1/m]."""
-    axial_origin: float = 0.4
-    """Distance of the smallest spread [m]."""
-    axial_tilt: float = 0.0001
-    """Spread that a tilted surface adds [m^1.5]."""
-    lateral: float = 0.8
-    """Spread of where an edge appears in the image [px]."""
+    axial_base: float = 0.0012  # Spread at ``axial_origin`` [m]
+    axial_growth: float = 0.0019  # Growth of the spread with the square of the distance [1/m]
+    axial_origin: float = 0.4  # Distance of the smallest spread [m]
+    axial_tilt: float = 0.0001  # Spread that a tilted surface adds [m^1.5]
+    lateral: float = 0.8  # Spread of where an edge appears in the image [px]
+    # Smallest step of disparity [px]; 0 for none. Depth comes in steps of z^2 * step / (fx * baseline).
     disparity_step: float = 0.125
-    """Smallest step of disparity [px]; 0 for none. Depth comes in steps of z^2 * step / (fx * baseline)."""
-    baseline: float = 0.075
-    """Distance between projector and camera, or between the two cameras [m]."""
+    baseline: float = 0.075  # Distance between projector and camera, or between the two cameras [m]
+    # A change of depth between neighbors that is an edge: relative, beyond what the slope of the surface explains.
     edge_jump: float = 0.03
-    """A change of depth between neighbors that is an edge: relative, beyond what the slope of the surface explains."""
-    edge_band: int = 2
-    """How far from an edge the farther surface stays without depth [px]."""
-    grazing_deg: float = 78.0
-    """Surfaces tilted more than this from facing the camera [deg] return nothing."""
-    dropout: float = 0.002
-    """Probability that a pixel returns nothing for no reason."""
-    nearest: float = 0.25
-    """Nearest depth [m]."""
-    farthest: float = 4.0
-    """Farthest depth [m]."""
+    edge_band: int = 2  # How far from an edge the farther surface stays without depth [px]
+    grazing_deg: float = 78.0  # Surfaces tilted more than this from facing the camera [deg] return nothing
+    dropout: float = 0.002  # Probability that a pixel returns nothing for no reason
+    nearest: float = 0.25  # Nearest depth [m]
+    farthest: float = 4.0  # Farthest depth [m]
 
 
-IDEAL = SensorModel(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.075, math.inf, 0, 90.0, 0.0, 0.0, math.inf)
-"""A camera without flaws: the depth of the picture as it is."""
-
+# A short-range active-stereo camera on a desk: about 0.9 mm of spread at 0.5 m.
 ACTIVE_STEREO = SensorModel(
     axial_base=0.0004, axial_growth=0.0019, axial_origin=0.0, lateral=0.6, disparity_step=0.03125
 )
-"""A short-range active-stereo camera on a desk: about 0.9 mm of spread at 0.5 m."""
-
-
-@dataclass(frozen=True, eq=False)
-class CaptureFiles:
-    """Pictures of a capture as written: file names, intrinsics ``K`` [px], shape (3, 3), and [m] of one depth count."""
-
-    color: str
-    depth: str
-    instances: str | None
-    K: Array
-    depth_scale: float
 
 
 def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Array:
@@ -106,7 +81,7 @@ def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
     return Frame(color=simulate_color(ray, rng), depth=simulate_depth(ray, rng, model), K=K, instances=ray.objects)
 
 
-def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> CaptureFiles:
+def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Shot:
     """Write ``color.png`` (8-bit RGB), ``depth.png`` (16-bit, ``depth_scale`` [m] a count, 0 for none) and, where the
     frame has masks, ``instances.png`` (16-bit labels). The same frame gives the same bytes.
 
@@ -126,8 +101,13 @@ def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Capt
     _write_png(folder / "depth.png", counts.astype(np.uint16))
     if frame.instances is not None:
         _write_png(folder / "instances.png", frame.instances.astype(np.uint16))
-    masks = None if frame.instances is None else "instances.png"
-    return CaptureFiles("color.png", "depth.png", masks, np.asarray(frame.K, dtype=np.float64), depth_scale)
+    fx, fy, cx, cy = (float(frame.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Shot(
+        color="color.png",
+        depth=DepthImage(image="depth.png", scale=depth_scale),
+        camera=Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy),
+        masks=None if frame.instances is None else Masks(image="instances.png"),
+    )
 
 
 def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -200,8 +180,7 @@ def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:
     return np.asarray(depth[np.clip(v + shift[0], 0, h - 1), np.clip(u + shift[1], 0, w - 1)])
 
 
-CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
-"""What a synthesized capture consists of."""
+CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")  # What a synthesized capture consists of
 
 
 def synthesize(
@@ -212,16 +191,8 @@ def synthesize(
     The same scene and seed give the same bytes. ``truth`` names the scene document in the capture where it lies in
     the same folder.
     """
-    from dataclasses import replace
-
     frame = simulate_frame(raycast(scene, camera), np.random.default_rng(seed))
-    written = write_capture(folder, frame if masks else replace(frame, instances=None))
-    shot = Shot(
-        color=written.color,
-        depth=DepthImage(image=written.depth, scale=written.depth_scale),
-        camera=Intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy),
-        masks=None if written.instances is None else Masks(image=written.instances),
-    )
+    shot = write_capture(folder, frame if masks else replace(frame, instances=None))
     beside = truth is not None and truth.resolve().parent == folder.resolve()
     spec = CaptureSpec(
         simfoundry="capture/1",

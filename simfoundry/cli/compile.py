@@ -59,8 +59,7 @@ def compile_command(
 def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
-    from simfoundry.targets.build import LOSSES, TargetsError, build
-    from simfoundry.targets.report import report, table
+    from simfoundry.targets.build import LOSSES, TargetsError, build, report, table
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))

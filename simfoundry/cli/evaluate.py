@@ -156,15 +156,15 @@ def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Column, Table
 
-    from simfoundry.evaluate.statistics.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, by_title, cells
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
     table = Table(*(Column(title, no_wrap=True) for title in ("task", *policies)), box=None, pad_edge=False)
-    for name, here in titles(found).items():
+    for name, here in by_title(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
         steps = dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
-        for step in steps if len(titles(found)) <= MANY else ():
+        for step in steps if len(by_title(found)) <= MANY else ():
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             rates = (f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each)
             table.add_row(f"  {step}", *rates, style="dim")
@@ -178,13 +178,13 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
-    from simfoundry.evaluate.statistics.results import pool_rows, pools
+    from simfoundry.evaluate.statistics.results import by_title, pools
 
     found = pools(records)
     if found:
         policies = list(dict.fromkeys(pool.policy for pool in found))
         table = Table(*(Column(title, overflow="fold") for title in ("together", *policies)), box=None, pad_edge=False)
-        for name, here in pool_rows(found).items():
+        for name, here in by_title(found).items():
             tasks = max(len(pool.counts) for pool in here.values())
             table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
             if not all(pool.is_balanced for pool in here.values()):

@@ -68,8 +68,10 @@ class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic only from
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Return the name if the target has a world."""
-        from simfoundry.worlds import is_world, world_names
+        from simfoundry.worlds import UnknownWorldError, find_world
 
-        if not is_world(value):
-            self.fail(f"`{value}` cannot run scenes; available: {', '.join(world_names())}", param, ctx)
+        try:
+            find_world(value)
+        except UnknownWorldError as error:
+            self.fail(str(error), param, ctx)
         return value

@@ -25,8 +25,7 @@ from simfoundry.cli.output import (
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
-    from simfoundry.verify.rest import RestResult
-    from simfoundry.verify.run import BehaviorResult, ReadbackResult, SceneBuilds
+    from simfoundry.verify.run import BehaviorResult, ReadbackResult, RestResult, SceneBuilds
 
     Found = Mapping[str, InstalledEngine | None]
 
@@ -148,8 +147,7 @@ def _verify(
     progress: Callable[[str, float], None],
 ) -> VerifyResults:  # fmt: skip
     from simfoundry.verify.behaviors import BEHAVIORS
-    from simfoundry.verify.rest import settle_subjects
-    from simfoundry.verify.run import measure_behaviors, read_subjects
+    from simfoundry.verify.run import measure_behaviors, read_subjects, settle_subjects
 
     here = [f for f in found.values() if f is not None]
     readable = [f for f in here if all(f.engine.name in s.builds for s in subjects)]
@@ -172,7 +170,7 @@ def _verify(
 def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
     from simfoundry.reports.verification import page
     from simfoundry.verify.behaviors import BEHAVIORS
-    from simfoundry.verify.pictures import picture
+    from simfoundry.verify.tables import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
     text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)

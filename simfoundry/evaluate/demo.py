@@ -44,9 +44,8 @@ from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
-from simfoundry.worlds.base import World
-from simfoundry.worlds.footing import center_of_mass
-from simfoundry.worlds.mounted import camera_of
+from simfoundry.worlds.base import World, camera_of
+from simfoundry.worlds.rest import center_of_mass
 
 ARM = "demo_arm"
 """The arm used: the one that needs no download."""
@@ -97,14 +96,7 @@ class ArmDemo:
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping."""
-        return {
-            "instruction": self.instruction,
-            "success": self.success,
-            "seconds": self.seconds,
-            "reason": self.reason,
-            "task": None if self.task is None else str(self.task),
-            "strip": None if self.strip is None else str(self.strip),
-        }
+        return {key: str(value) if isinstance(value, Path) else value for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,9 +33,8 @@ from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import is_world, open_world, world_names
-from simfoundry.worlds.base import Image
-from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds import find_world, open_world
+from simfoundry.worlds.base import Image, WorldRobot
 
 FASTEST = 3.0
 """Maximum joint velocity of an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz."""
@@ -75,8 +74,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         render_size: tuple[int, int] = (640, 480),
         cache: bool = True,
     ) -> None:
-        if not is_world(engine):
-            raise SimfoundryError(f"no engine `{engine}`; there are: {', '.join(world_names())}")
+        find_world(engine)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise SimfoundryError(f"no render mode `{render_mode}`; there is: rgb_array")
         if action_space not in list(ActionSpace):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ from simfoundry.evaluate.entries import Contender, ExpertChoice, TaskEntry, Task
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import check_cameras
-from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, Video, rollout
-from simfoundry.evaluate.rollouts.videos import whole_picture
+from simfoundry.evaluate.rollouts.rollout import RolloutEnd, Video, rollout
+from simfoundry.evaluate.rollouts.videos import side_by_side, whole_picture, write_video
 from simfoundry.evaluate.statistics.records import RecordSlot, check_layout, is_result
 from simfoundry.evaluate.statistics.results import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
@@ -121,11 +121,7 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
             raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; give each task once")
         keys.add(task_key(entry, task))
         need_robots(task)
-        starts(task, plan.rollouts, plan.seed, cache, _told(progress, task.name))
-
-
-def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callable[[int, int], None] | None:
-    return None if progress is None else lambda done, of: progress(name, done, of)
+        starts(task, plan.rollouts, plan.seed, cache, None if progress is None else partial(progress, task.name))
 
 
 def pending(plan: EvaluationPlan) -> list[RolloutJob]:
@@ -201,9 +197,10 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
     if not result.success:
         about["unmet"] = setting.judge(setting.task.goal, result.final).why
-    if video is not None and result.frames:
+    if any(result.frames.values()):
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
-        _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
+        images = [side_by_side(row) for row in zip(*result.frames.values(), strict=True)]
+        write_video(slot.video, images, setting.task.control_hz / FRAME_EVERY)
     return RolloutOutcome(job, slot.write(result, about, policy.action_space))
 
 
@@ -273,14 +270,6 @@ def _video(plan: EvaluationPlan, task: Task) -> Video | None:
     check_cameras(task.scene, dict.fromkeys(names, ImageSize(1, 1)), "the video")
     shapes = {c.name: c for c in (*task.scene.cameras, *(mounted.camera for mounted in task.scene.mounted))}
     return Video({name: whole_picture(shapes[name].width, shapes[name].height) for name in names}, FRAME_EVERY)
-
-
-def _write_video(path: Path, result: Rollout, rate: float) -> None:
-    from simfoundry.evaluate.rollouts.videos import side_by_side, write_video
-
-    views = [frames for frames in result.frames.values() if frames]
-    if views:
-        write_video(path, [side_by_side(row) for row in zip(*views, strict=True)], rate)
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ The `start` of a task, and then that of a step, are applied to the scene's docum
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from simfoundry.assets.cache import Cache
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, body_name, read_robot
@@ -47,57 +48,53 @@ class TaskSetup:
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
-    def with_step(self, name: str) -> TaskSetup:
-        """Return the same documents, starting at a step."""
-        return replace(self, step=name)
+    @property
+    def starts(self) -> dict[tuple[str, ...], Start]:
+        """Changes to the scene in order of application, by their paths in the task."""
+        own = self.task_spec.subtasks[self.step].start if self.step else None
+        return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
 
     @property
     def put_by_step(self) -> frozenset[str]:
         """Names of the objects that the step's own start places."""
-        start = self.task_spec.subtasks[self.step].start if self.step else None
-        return frozenset((*start.place, *start.pose)) if start is not None else frozenset()
+        own = self.starts.get(("subtasks", self.step, "start"))
+        return frozenset((*own.place, *own.pose)) if own else frozenset()
 
-    def starts(self) -> Iterator[tuple[tuple[str, ...], Start]]:
-        """Yield the changes to the scene in order of application, each with its path in the task."""
-        yield ("start",), self.task_spec.start
-        own = self.task_spec.subtasks[self.step].start if self.step else None
-        if own is not None:
-            yield ("subtasks", self.step, "start"), own
+    @cached_property
+    def started(self) -> SceneSpec:
+        """The scene's document with the starts applied; relations that they break are removed."""
+        spec, starts = with_starts(self.scene_spec, self.starts.values()), self.starts.values()
+        moved = {name for start in starts for name in (*start.place, *start.pose)}
+        turned = {name for start in starts for name in start.joints}
+        kept = [text for text in self.scene_spec.relations if not _is_undone(text, moved, turned)]
+        carriers = {name: carrier for name in sorted(moved) if (carrier := _carrier(spec.objects[name]))}
+        stood = [f"OnTop({name}, {carrier})" for name, carrier in carriers.items()]
+        return spec.model_copy(update={"relations": (*kept, *stood)})
 
+    def lowered(self) -> Scene:
+        """Lower the scene as the task starts; raises :class:`SpecError`, with places in the task if its start is at
+        fault.
+        """
+        try:
+            return lower(replace(self.scene, spec=self.started), self.cache)
+        except SpecError as error:
+            raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
 
-def lowered(setup: TaskSetup) -> Scene:
-    """Lower the scene as the task starts; raises :class:`SpecError`, with places in the task if its start is at
-    fault.
-    """
-    spec = started(setup)
-    try:
-        return lower(replace(setup.scene, spec=spec), setup.cache)
-    except SpecError as error:
-        raise SpecError([_placed_in_task(setup, d) for d in error.diagnostics]) from None
+    def carriers(self) -> dict[str, str]:
+        """Supporting object of each object, if stated by the documents."""
+        calls = [parse_call(text) for text in self.started.relations]
+        found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
+        placed = {name: _carrier(item) for name, item in self.started.objects.items()}
+        return found | {name: carrier for name, carrier in placed.items() if carrier}
 
-
-def started(setup: TaskSetup) -> SceneSpec:
-    """Apply the starts to the scene's document; relations that they break are removed."""
-    spec = with_starts(setup.scene_spec, (start for _, start in setup.starts()))
-    moved, turned = set[str](), set[str]()
-    for _, start in setup.starts():
-        moved |= {*start.place, *start.pose}
-        turned |= {*start.joints}
-    objects = spec.objects
-    kept = [text for text in setup.scene_spec.relations if not _is_undone(text, moved, turned)]
-    stood = [f"OnTop({name}, {_carrier(objects[name])})" for name in sorted(moved) if _carrier(objects[name])]
-    return spec.model_copy(update={"relations": (*kept, *stood)})
-
-
-def carried_by(setup: TaskSetup) -> dict[str, str]:
-    """Supporting object of each object, if stated by the documents."""
-    spec = started(setup)
-    found = {}
-    for text in spec.relations:
-        call = parse_call(text)
-        if call.predicate in ("OnTop", "Inside"):
-            found[call.args[0]] = call.args[1].partition(".")[0]
-    return found | {name: carrier for name, item in spec.objects.items() if (carrier := _carrier(item))}
+    def _placed_in_task(self, finding: Diagnostic) -> Diagnostic:
+        """Relocate a finding to the place in the task that placed the object, if there is one."""
+        parts = finding.path.split(".")
+        if finding.code == "SF210" and len(parts) == 3:
+            for path, start in reversed(self.starts.items()):
+                if parts[1] in start.place:
+                    return self.task.finding("SF210", (*path, "place", parts[1]), finding.message, finding.hint)
+        return finding
 
 
 def _carrier(item: ObjectSpec) -> str:
@@ -111,17 +108,6 @@ def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
-
-
-def _placed_in_task(setup: TaskSetup, finding: Diagnostic) -> Diagnostic:
-    """Relocate a finding to the place in the task that placed the object, if there is one."""
-    parts = finding.path.split(".")
-    if finding.code != "SF210" or len(parts) != 3:
-        return finding
-    for path, start in reversed(list(setup.starts())):
-        if parts[1] in start.place:
-            return setup.task.finding("SF210", (*path, "place", parts[1]), finding.message, finding.hint)
-    return finding
 
 
 _FORM = "docs/robots.md, *Models of your own*, has the form"
@@ -149,7 +135,7 @@ def check_can_act(robot: Robot) -> None:
             f"`model: {{file: my_arm.yaml}}`; {_FORM}"
         ) from None
     driven = _driven(read)
-    for joint in native.joints.values() or _moving(read):
+    for joint in native.joints.values() or [_own(read, read.model.joint(k)) for k in range(read.model.njnt)]:
         if joint not in driven:
             raise RobotModelError(
                 f"robot `{robot.name}` cannot be position-controlled: no position actuator of {native.file.name} "
@@ -163,11 +149,12 @@ def _leaf(read: MujocoRobot) -> str:
     for body in range(1, read.model.nbody):
         depth.append(depth[int(read.model.body_parentid[body])] + 1)
     deepest = max(range(read.model.nbody), key=lambda body: depth[body])
-    return str(read.model.body(deepest).name.removeprefix(read.prefix))
+    return _own(read, read.model.body(deepest))
 
 
-def _moving(read: MujocoRobot) -> list[str]:
-    return [read.model.joint(k).name.removeprefix(read.prefix) for k in range(read.model.njnt)]
+def _own(read: MujocoRobot, named: Any) -> str:
+    """Return the robot's own name of a body or joint of its model."""
+    return str(named.name.removeprefix(read.prefix))
 
 
 def _driven(read: MujocoRobot) -> set[str]:
@@ -178,7 +165,7 @@ def _driven(read: MujocoRobot) -> set[str]:
     for k in range(model.nu):
         pulls = model.actuator_gainprm[k][0] != 0 and model.actuator_biasprm[k][1] < 0
         if pulls and model.actuator_trntype[k] == int(mujoco.mjtTrn.mjTRN_JOINT):
-            found.add(model.joint(int(model.actuator_trnid[k][0])).name.removeprefix(read.prefix))
+            found.add(_own(read, model.joint(int(model.actuator_trnid[k][0]))))
     return found
 
 
@@ -247,13 +234,13 @@ class Task:
         return self.subtasks[name]
 
     def _from(self, name: str) -> Task:
-        setup = self.setup.with_step(name)
+        setup = replace(self.setup, step=name)
         regions = {n: region for n, region in self.reset.objects.items() if n not in setup.put_by_step}
         return replace(
             self,
-            scene=lowered(setup),
+            scene=setup.lowered(),
             reset=self.reset.model_copy(update={"objects": regions}),
-            carriers=carried_by(setup),
+            carriers=setup.carriers(),
             setup=setup,
             step=name,
         )
@@ -273,13 +260,18 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
     setup = TaskSetup(loaded, scene, cache=cache)
     return Task(
         name=spec.name,
-        scene=lowered(setup),
+        scene=setup.lowered(),
         instruction=spec.instruction,
         robots=spec.robots or tuple(setup.scene_spec.robots),
         goal=spec.goal,
-        subtasks=MappingProxyType(_subtasks(spec)),
+        subtasks=MappingProxyType(
+            {
+                name: SubtaskGoal(name, step.goal, step.instruction or spec.instruction, step.start is not None)
+                for name, step in spec.subtasks.items()
+            }
+        ),
         reset=spec.reset,
-        carriers=carried_by(setup),
+        carriers=setup.carriers(),
         control_hz=spec.control_hz,
         horizon=spec.horizon,
         setup=setup,
@@ -294,10 +286,3 @@ def need_robots(task: Task) -> None:
         raise SimfoundryError(f"task `{task.name}` needs robot `{name}`, which is left out: {reason}")
     for name in task.robots:
         check_can_act(task.scene.robot(name))
-
-
-def _subtasks(spec: TaskSpec) -> dict[str, SubtaskGoal]:
-    return {
-        name: SubtaskGoal(name, step.goal, step.instruction or spec.instruction, step.start is not None)
-        for name, step in spec.subtasks.items()
-    }

@@ -71,7 +71,7 @@ class Pose:
         """The rotation matrix, shape (3, 3)."""
         return frozen_array(matrix_from_quat(self.q))
 
-    @property
+    @cached_property
     def is_identity(self) -> bool:
         """True for exactly the identity."""
         return self is IDENTITY or (not any(self.p.tolist()) and bool(self.q[0] == 1.0))
@@ -264,6 +264,9 @@ def rotations(q: Array) -> Array:
     return out
 
 
+_UNTURNED = np.eye(3)
+
+
 class Turn:
     """Rotations about one unit axis, shape (3,)."""
 
@@ -275,4 +278,4 @@ class Turn:
     def by(self, angle: Array) -> Array:
         """Return the rotation matrices for angles [rad], (n,), shape (n, 3, 3)."""
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-        return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)
+        return np.asarray(_UNTURNED + s * self._skew + (1 - c) * self._square)

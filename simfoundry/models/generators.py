@@ -11,17 +11,13 @@ from typing import Any, Protocol
 
 from simfoundry.errors import SimfoundryError
 
-TIMEOUT_S = 300.0
-"""Response timeout of a server [s]: mesh generators take a minute or two."""
+TIMEOUT_S = 300.0  # Response timeout of a server [s]: mesh generators take a minute or two
 
-MAX_BYTES = 256 * 2**20
-"""Largest answer [bytes]: no usable picture or mesh is larger."""
+MAX_BYTES = 256 * 2**20  # Largest answer [bytes]: no usable picture or mesh is larger
 
-MAX_QUOTE = 300
-"""Length of a server's error text that is quoted [characters]: its first sentences."""
+MAX_QUOTE = 300  # Length of a server's error text that is quoted [characters]: its first sentences
 
-FormFile = tuple[str, tuple[str, bytes, str]]
-"""A file of a multipart form: field, then file name, data and media type."""
+FormFile = tuple[str, tuple[str, bytes, str]]  # A file of a multipart form: field, then file name, data and media type
 
 
 class ModelError(SimfoundryError):
@@ -69,8 +65,8 @@ def post(
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 
+# Environment variables with the address, the name and the key of the image model; the key is stored nowhere else.
 IMAGES_URL, IMAGES_MODEL, IMAGES_KEY = "SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_IMAGES_KEY"
-"""Environment variables with the address, the name and the key of the image model; the key is stored nowhere else."""
 
 
 class ImageEditor(Protocol):
@@ -140,13 +136,11 @@ def _picture(answer: bytes, url: str) -> bytes:
     return data
 
 
-MESHES_URL = "SIMFOUNDRY_MESHES_URL"
-"""Environment variable with the address of the mesh model."""
+MESHES_URL = "SIMFOUNDRY_MESHES_URL"  # Environment variable with the address of the mesh model
 
 GLB = b"glTF"
 
-SEEDS = 2**32
-"""Exclusive upper bound of the seeds that servers accept."""
+SEEDS = 2**32  # Exclusive upper bound of the seeds that servers accept
 
 
 class MeshMaker(Protocol):

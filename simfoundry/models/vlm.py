@@ -19,25 +19,21 @@ from simfoundry.runtime.extras import install_line
 if TYPE_CHECKING:
     from pydantic_ai.models import Model
 
-TIMEOUT_S = 120.0
-"""Time for one answer [s]: thinking models take up to a minute."""
+TIMEOUT_S = 120.0  # Time for one answer [s]: thinking models take up to a minute
 
-MAX_TOKENS = 16_000
-"""Tokens of one answer, thinking included: a task proposal takes about 2,000 without thinking."""
+MAX_TOKENS = 16_000  # Tokens of one answer, thinking included: a task proposal takes about 2,000 without thinking
 
+# Bounds of the pictures in one request [bytes, count]: providers refuse requests of about 20 MB.
 MAX_BYTES, MAX_PICTURES = 10 * 2**20, 16
-"""Bounds of the pictures in one request [bytes, count]: providers refuse requests of about 20 MB."""
 
-MAX_PROMPT = 200_000
-"""Longest prompt [characters]: about 50,000 tokens, which every current model takes."""
+MAX_PROMPT = 200_000  # Longest prompt [characters]: about 50,000 tokens, which every current model takes
 
-RETRIES = 2
-"""Number of times that a model is asked to correct the form of its answer."""
+RETRIES = 2  # Number of times that a model is asked to correct the form of its answer
 
 KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
 
+# Form of a request for a typed answer: by the model's own JSON schema, as a tool call, or in the prompt.
 Mode = Literal["native", "tool", "prompt"]
-"""Form of a request for a typed answer: by the model's own JSON schema, as a tool call, or in the prompt."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
 

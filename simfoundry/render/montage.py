@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from simfoundry.runtime.files import MARK, write_atomically
 
-Image = NDArray[np.uint8]
-"""An sRGB image, uint8, shape (h, w, 3)."""
+Image = NDArray[np.uint8]  # An sRGB image, uint8, shape (h, w, 3)
 
 PAPER = (255, 255, 255)
 INK = (38, 42, 48)

@@ -18,8 +18,7 @@ from simfoundry.render.surface import SceneSurface, scene_surface
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
-BAND = 1_300_000
-"""Number of rays shaded at once; this needs about 1 GB of memory."""
+BAND = 1_300_000  # Number of rays shaded at once; this needs about 1 GB of memory
 
 
 @dataclass(frozen=True, eq=False)

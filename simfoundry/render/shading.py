@@ -25,23 +25,18 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.render.surface import SceneSurface
 from simfoundry.scene.model import LightType, Scene
 
-SHADOW_BIAS = 2e-4
-"""Occluders closer to a point than this along the light direction [m] are the point's own surface."""
+SHADOW_BIAS = 2e-4  # Occluders closer to a point than this along the light direction [m] are the point's own surface
 
-DISTANT = 1e4
-"""Distance of a distant light, in scene radii."""
+DISTANT = 1e4  # Distance of a distant light, in scene radii
 
-FILL = 0.22
-"""Ambient light of a scene that has lights but no dome; a real room is never black in the shade."""
+FILL = 0.22  # Ambient light of a scene that has lights but no dome; a real room is never black in the shade
 
-LAMP_RADIUS = 0.03
-"""Half the angular diameter of a distant lamp [rad], for soft shadows."""
+LAMP_RADIUS = 0.03  # Half the angular diameter of a distant lamp [rad], for soft shadows
 
-SKY_SPOTS = 4
-"""Number of sky samples per subpixel."""
+SKY_SPOTS = 4  # Number of sky samples per subpixel
 
+# Light direction in a scene without lights (unit vector, world).
 KEY_DIRECTION = frozen_array(unit(np.array([-0.16, 0.66, 0.82])))
-"""Light direction in a scene without lights (unit vector, world)."""
 
 SKY = frozen_array([0.86, 0.93, 1.0])
 GROUND = frozen_array([0.42, 0.39, 0.36])

@@ -15,14 +15,12 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState
 
-SEGMENTS = 96
-"""Tessellation of round primitives: the radius of a 5 cm cup is off by at most 27 micrometers."""
+SEGMENTS = 96  # Tessellation of round primitives: the radius of a 5 cm cup is off by at most 27 micrometers
 
-CREASE_DEG = 35.0
-"""Faces that meet at a smaller angle are shaded as one smooth surface."""
+CREASE_DEG = 35.0  # Faces that meet at a smaller angle are shaded as one smooth surface
 
+# Vertices with more corners than this (the hub of a fan) are not smoothed; the number of pairs is quadratic.
 _CROWDED = 512
-"""Vertices with more corners than this (the hub of a fan) are not smoothed; the number of pairs is quadratic."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from simfoundry.reports.pictures import Picture, Tint
     from simfoundry.scene.model import Camera, Scene
 
+# Colors of the marks in pictures and in the list (sRGB bytes).
 COLORS = {
     "moved": (0xF0, 0x8C, 0x00),
     "added": (0x2F, 0x9E, 0x44),
     "removed": (0xE0, 0x31, 0x31),
     "changed": (0x1C, 0x7E, 0xD6),
 }
-"""Colors of the marks in pictures and in the list (sRGB bytes)."""
 
+# Smallest indirect move that is reported: half a millimeter and a tenth of a degree; smaller ones result from solving a
+# placement again.
 SEEN_M, SEEN_DEG = 5e-4, 0.1
-"""Smallest indirect move that is reported: half a millimeter and a tenth of a degree; smaller ones result from solving
-a placement again."""
 
 
 def page(comparisons: Sequence[DocumentComparison]) -> str:

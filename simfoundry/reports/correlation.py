@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from simfoundry.evaluate.statistics.correlation import RateAgreement, mean_agreement
 from simfoundry.reports.render import render
 
+# Side of the plot, margin for its axes, and width of the legend [px]: readable when embedded in text.
 SIDE, MARGIN, LEGEND = 440, 56, 210
-"""Side of the plot, margin for its axes, and width of the legend [px]: readable when embedded in text."""
 
 COLORS = ("#2f6fde", "#e07b1a", "#2a9d63", "#b23a8f", "#6b7280")
+# Markers of tasks, as SVG paths centered at the origin.
 PATHS = {
     "circle": "",
     "square": "M-5-5H5V5H-5Z",
@@ -20,7 +21,6 @@ PATHS = {
     "plus": "M-6 0H6M0-6V6",
     "star": "M0-7L2-2H7L3 1.5L4.5 7L0 3.5L-4.5 7L-3 1.5L-7-2H-2Z",
 }
-"""Markers of tasks, as SVG paths centered at the origin."""
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:

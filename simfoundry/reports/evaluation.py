@@ -16,18 +16,17 @@ from simfoundry.evaluate.statistics.results import (
     MANY,
     RatePool,
     ScoreRow,
+    by_title,
     cell_key,
     cells,
-    pool_rows,
     pools,
-    titles,
 )
 from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
 
+# Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds.
 GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
-"""Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def page(records: Sequence[Record], title: str = "Evaluation") -> str:
     by_cell: dict[tuple[str, ...], list[Record]] = {}
     for record in records:
         by_cell.setdefault(cell_key(record), []).append(record)
-    named, pooled = titles(cells(records)), pools(records)
+    named, pooled = by_title(cells(records)), pools(records)
     return render(
         "evaluation.html.j2",
         title=title,
@@ -110,7 +109,7 @@ def _success(cell: ScoreRow) -> RateCell:
 def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
     """Rows for all tasks together, and for each of their steps."""
     policies = _policies(pool.policy for pool in found)
-    for name, here in pool_rows(found).items():
+    for name, here in by_title(found).items():
         tasks = max(len(pool.counts) for pool in here.values())
         yield RateRow(name, [RateCell(here[p].rate) if p in here else RateCell() for p in policies], tasks)
         if not all(pool.is_balanced for pool in here.values()):

@@ -16,23 +16,19 @@ from simfoundry.render.surface import scene_surface
 from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
-WIDTH, HEIGHT = 640, 480
-"""Default and maximum size of a picture [px]: two fit side by side on a page of 1320 px."""
+WIDTH, HEIGHT = 640, 480  # Default and maximum size of a picture [px]: two fit side by side on a page of 1320 px
 
-VIEW_DEG = 40.0
-"""Vertical field of view of the default camera [deg]: a wider one distorts upright objects at the edges."""
+VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]: a wider one distorts upright objects at the edges
 
+# Position of the default camera relative to the middle of the scene: behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)
-"""Position of the default camera relative to the middle of the scene: behind the robot's right shoulder."""
 
+# Margin of the default camera around the objects, as a factor on their radius; less would cut off outlines.
 MARGIN = 1.08
-"""Margin of the default camera around the objects, as a factor on their radius; less would cut off outlines."""
 
-RIM = 4
-"""Outline width of a changed object [px]; narrower outlines vanish when the page scales a picture down."""
+RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales a picture down
 
-GOLDEN = (5**0.5 - 1) / 2
-"""Step between hues: multiples of the golden ratio stay far apart for any number of hues."""
+GOLDEN = (5**0.5 - 1) / 2  # Step between hues: multiples of the golden ratio stay far apart for any number of hues
 
 Tint = tuple[float, float, float]
 Image = NDArray[np.uint8]
@@ -163,18 +159,16 @@ def _png(image: Image) -> bytes:
     return out.getvalue()
 
 
-FONT = 0.024
-"""Font size as a fraction of the image width: 15 px if two images share a wide page."""
+FONT = 0.024  # Font size as a fraction of the image width: 15 px if two images share a wide page
 
-LONGEST = 24
-"""Length from which names are truncated with dots: a third of a picture's width."""
+LONGEST = 24  # Length from which names are truncated with dots: a third of a picture's width
 
+# Character width of the widest common fonts, padding of a name on both sides, height of a label, and least gap between
+# two, all as shares of the font size.
 _LETTER, _PADDING, _LINE, _GAP = 0.64, 1.0, 1.5, 0.2
-"""Character width of the widest common fonts, padding of a name on both sides, height of a label, and least gap between
-two, all as shares of the font size."""
 
+# Sideways shifts of a label, as shares of its width; below 0.5, so that the line to its object starts under it.
 _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
-"""Sideways shifts of a label, as shares of its width; below 0.5, so that the line to its object starts under it."""
 
 
 @dataclass(frozen=True)

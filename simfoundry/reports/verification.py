@@ -9,8 +9,7 @@ from simfoundry.reports.render import render
 from simfoundry.verify import tables
 from simfoundry.verify.behaviors import Behavior
 from simfoundry.verify.engines import InstalledEngine
-from simfoundry.verify.rest import RestResult
-from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult
+from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult, RestResult
 
 _LEGEND = {
     ProofStatus.OK: "ok",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -169,7 +169,7 @@ class Arm:
         self.joints: tuple[str, ...] = tuple(named) or tuple(own)
         self.model = _rigid(self.read, self.joints)
         frame = native.frame("hand")
-        self._body, self._X_LH = f"{robot.name}.{frame.link}", frame.X_LF
+        self._body, self._X_LH = self.model.body(f"{robot.name}.{frame.link}"), frame.X_LF
         self._order = [int(self.model.joint(name).qposadr[0]) for name in self.joints]
         start = self.read.model
         self.home = np.array([self.read.qpos[start.joint(name).qposadr[0]] for name in self.joints])
@@ -177,62 +177,38 @@ class Arm:
         self.low, self.high = limits[:, 0] + SLACK, limits[:, 1] - SLACK
 
     @cached_property
-    def _solver(self) -> _Solver:
-        return _Solver(self.model, self._body, self._order, self.low, self.high)
+    def _ik(self) -> tuple[Any, Any, Any]:
+        """Mink's configuration of the rigid model, the task of the hand's link, and the joint limits."""
+        import mink
+
+        task = mink.FrameTask(self._body.name, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
+        return mink.Configuration(self.model), task, mink.ConfigurationLimit(self.model)
+
+    def _posed(self, q: Array) -> Any:
+        """Return Mink's configuration at ``q``."""
+        configuration = self._ik[0]
+        full = np.array(configuration.q)
+        full[self._order] = q
+        configuration.update(full)
+        return configuration
 
     def hand(self, q: Array) -> Pose:
         """Return the pose of the hand in the world at configuration ``q``."""
-        return self.robot.X_WB @ self._solver.body(q) @ self._X_LH
+        data, link = self._posed(q).data, self._body.id
+        return self.robot.X_WB @ Pose.of(data.xpos[link], data.xquat[link]) @ self._X_LH
 
     def solve(self, X_WH: Pose, near: Array) -> Array | None:
         """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if none is found."""
-        return self._solver.solve(self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse(), near)
-
-    def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """Solve as :meth:`solve` does; if that fails, from the home configuration and random ones around it."""
-        target = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
-        found = self._solver.solve(target, near)
-        if found is None:
-            found = self._solver.solve(target, self.home)
-        for _ in range(SEEDS):
-            if found is not None:
-                break
-            spread = rng.uniform(-0.6, 0.6, len(near)) * np.minimum(1.0, self.high - self.low)
-            found = self._solver.solve(target, np.clip(self.home + spread, self.low, self.high))
-        return found
-
-
-class _Solver:
-    """Mink on the rigid model: a task for one frame, and a weak posture task toward the start configuration."""
-
-    def __init__(self, model: mujoco.MjModel, body: str, order: list[int], low: Array, high: Array) -> None:
         import mink
 
-        self._mink = mink
-        self._order, self._low, self._high, self._name = order, low, high, body
-        self._configuration = mink.Configuration(model)
-        self._frame = mink.FrameTask(body, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
-        self._limit = mink.ConfigurationLimit(model)
-        self._id = model.body(body).id
-
-    def body(self, q: Array) -> Pose:
-        self._update(q)
-        data = self._configuration.data
-        return Pose.of(data.xpos[self._id], data.xquat[self._id])
-
-    def _update(self, q: Array) -> None:
-        full = np.array(self._configuration.q)
-        full[self._order] = q
-        self._configuration.update(full)
-
-    def solve(self, X_BF: Pose, near: Array) -> Array | None:
-        mink = self._mink
-        self._frame.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BF.q, X_BF.p])))
-        q = np.clip(near, self._low, self._high)
-        self._update(q)
+        X_BF = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
+        _, task, limit = self._ik
+        task.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BF.q, X_BF.p])))
+        q = np.clip(near, self.low, self.high)
+        configuration = self._posed(q)
         best, since = np.inf, 0
         for _ in range(ITERATIONS):
-            error = self._frame.compute_error(self._configuration)
+            error = task.compute_error(configuration)
             if np.linalg.norm(error[:3]) < NEAR and np.linalg.norm(error[3:]) < TURNED:
                 return q
             size = float(np.linalg.norm(error))
@@ -240,16 +216,26 @@ class _Solver:
             if since >= STUCK:
                 return None
             try:
-                velocity = mink.solve_ik(
-                    self._configuration, [self._frame], 1.0, "daqp", damping=1e-4, limits=[self._limit]
-                )
+                velocity = mink.solve_ik(configuration, [task], 1.0, "daqp", damping=1e-4, limits=[limit])
             except mink.NoSolutionFound:
                 return None
             step = velocity[self._order]
             step *= min(1.0, 0.5 / max(float(np.abs(step).max()), 1e-9))
-            q = np.clip(q + step, self._low, self._high)
-            self._update(q)
+            q = np.clip(q + step, self.low, self.high)
+            configuration = self._posed(q)
         return None
+
+    def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
+        """Solve as :meth:`solve` does; if that fails, from the home configuration and random ones around it."""
+        found = self.solve(X_WH, near)
+        if found is None:
+            found = self.solve(X_WH, self.home)
+        for _ in range(SEEDS):
+            if found is not None:
+                break
+            spread = rng.uniform(-0.6, 0.6, len(near)) * np.minimum(1.0, self.high - self.low)
+            found = self.solve(X_WH, np.clip(self.home + spread, self.low, self.high))
+        return found
 
 
 def _rigid(read: MujocoRobot, joints: tuple[str, ...]) -> mujoco.MjModel:

@@ -42,6 +42,7 @@ def _extra(name: str, purpose: str, **packages: str) -> tuple[str, Extra]:
     return name, Extra(name, purpose, {key.replace("_", "-"): module for key, module in packages.items()})
 
 
+# The extras of pyproject.toml, most useful first; a test compares the two.
 EXTRAS: Mapping[str, Extra] = MappingProxyType(
     dict(
         (
@@ -63,7 +64,6 @@ EXTRAS: Mapping[str, Extra] = MappingProxyType(
         )
     )
 )  # fmt: skip
-"""The extras of pyproject.toml, most useful first; a test compares the two."""
 
 
 class MissingExtraError(SimfoundryError):

@@ -12,20 +12,16 @@ from simfoundry.errors import SimfoundryError
 T = TypeVar("T")
 R = TypeVar("R")
 
-SERIAL_TRIAL = 32
-"""Number of inputs processed here before the remaining time is estimated; enough for a stable mean."""
+SERIAL_TRIAL = 32  # Number of inputs processed here before the remaining time is estimated; enough for a stable mean
 
+# Shortest remaining work [s] for which processes are started; starting them and importing everything takes 0.5 s.
 STARTUP_S = 2.0
-"""Shortest remaining work [s] for which processes are started; starting them and importing everything takes 0.5 s."""
 
-MAX_PROCESSES = 8
-"""Default maximum number of processes; with more, memory runs out before time is gained."""
+MAX_PROCESSES = 8  # Default maximum number of processes; with more, memory runs out before time is gained
 
-MAX_CHUNK = 32
-"""Maximum number of inputs per call, so that progress is visible."""
+MAX_CHUNK = 32  # Maximum number of inputs per call, so that progress is visible
 
-SILENCE_S = 600.0
-"""Maximum time for a chunk [s], far more than any valid document needs."""
+SILENCE_S = 600.0  # Maximum time for a chunk [s], far more than any valid document needs
 
 
 def map_parallel(

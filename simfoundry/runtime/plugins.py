@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+# The entry point groups and the kind of extension in each.
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
     "simfoundry.lints": "lint",
@@ -34,7 +35,6 @@ GROUPS: Mapping[str, str] = {
     "simfoundry.robots": "robot",
     "simfoundry.targets": "target",
 }
-"""The entry point groups and the kind of extension in each."""
 
 
 class UnknownExtensionError(SimfoundryError):

@@ -30,17 +30,14 @@ from typing import IO, Any
 from simfoundry.errors import SimfoundryError
 
 _START = "from simfoundry.runtime.workers import serve; serve()"
-WAIT_S = 2.0
-"""Interval between two progress reports on a running call [s], short enough to show that nothing hangs."""
+WAIT_S = 2.0  # Interval between two progress reports on a running call [s], short enough to show that nothing hangs
 
-GRACE_S = 5.0
-"""Time for a worker to close connections and videos before it is killed [s]; a clean exit takes under 1 s."""
+GRACE_S = 5.0  # Time for a worker to close connections and videos before it is killed [s]; a clean exit takes under 1 s
 
+# Minimum address space of a worker [bytes]; importing MuJoCo, PyBullet and USD together maps about 4 GiB.
 MIN_MEMORY = 6 * 2**30
-"""Minimum address space of a worker [bytes]; importing MuJoCo, PyBullet and USD together maps about 4 GiB."""
 
-_LENGTH = 8
-"""Size of the length field before each message [bytes]."""
+_LENGTH = 8  # Size of the length field before each message [bytes]
 
 
 class WorkerError(SimfoundryError):
@@ -216,8 +213,7 @@ def _ending(code: int) -> str:
         return f"crashed (signal {-code})"
 
 
-_send_message: Callable[[str, Any], None] | None = None
-"""Send a message to the calling process; None outside a worker."""
+_send_message: Callable[[str, Any], None] | None = None  # Send a message to the calling process; None outside a worker
 
 _exit_functions: list[Callable[[], object]] = []
 

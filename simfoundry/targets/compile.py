@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import FEATURES, Fidelity, Loss
+from simfoundry.backends.features import FEATURES, Fidelity, Loss, approximate, combination_reason
 from simfoundry.scene.model import Scene
 from simfoundry.targets.find import Target
 
 if TYPE_CHECKING:
-    from simfoundry.targets.profile import TargetSpec
+    from simfoundry.targets.profile import Combines, TargetSpec
 
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
@@ -48,9 +50,40 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
 
 def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
     """Yield the losses of the simulator for the features that the scene uses."""
-    from simfoundry.targets.combine import pair_losses
+    from simfoundry.targets.compile import pair_losses
 
     yield from pair_losses(scene, profile.combines, profile.name)
     for name, gap in profile.gaps.items():
         if any(FEATURES[name].users(scene)):
             yield Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
+
+
+RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
+    "average": ("the average", lambda a, b: (a + b) / 2),
+    "harmonic": ("the harmonic mean", lambda a, b: 2 * a * b / (a + b) if a + b else 0.0),
+    "maximum": ("the larger", max),
+    "minimum": ("the smaller", min),
+    "multiply": ("the product", lambda a, b: a * b),
+}
+
+
+def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
+    """Yield a loss each for friction and restitution, with the pair of the scene that has the largest error."""
+    for field in ("friction", "restitution"):
+        rule = getattr(combines, field)
+        worst = None if rule is None else _worst(scene, field, RULES[rule][1])
+        if worst is not None:
+            a, b, meant, got = worst
+            reason = combination_reason(simulator, RULES[rule][0], a, b, got, meant)
+            yield approximate(field, "", reason, abs(got - meant))
+
+
+def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:
+    """Return the pair with the largest error, its intended and resulting coefficient; None if they never differ."""
+    values: set[tuple[str, float]] = set()
+    for item in scene.objects:
+        values |= {(item.name, float(getattr(c, field))) for link in item.links for c in link.colliders}
+    met = {(a, b) if a <= b else (b, a) for (one, a), (two, b) in combinations(sorted(values), 2) if one != two}
+    pairs = [(a, b, math.sqrt(a * b), rule(a, b)) for a, b in sorted(met)]
+    off = [p for p in pairs if abs(p[3] - p[2]) > 1e-9]
+    return max(off, key=lambda p: abs(p[3] - p[2]), default=None)

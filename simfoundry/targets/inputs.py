@@ -28,16 +28,8 @@ from simfoundry.spec.yaml.write import to_data
 from simfoundry.targets.find import Target
 
 LIBRARIES = (
-    "coacd",
-    "fast-simplification",
-    "mapbox-earcut",
-    "mujoco",
-    "numpy",
-    "pillow",
-    "scipy",
-    "shapely",
-    "trimesh",
-    "usd-core",
+    *("coacd", "fast-simplification", "mapbox-earcut", "mujoco", "numpy"),
+    *("pillow", "scipy", "shapely", "trimesh", "usd-core"),
 )
 """The libraries whose results end up in the files."""
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
 from simfoundry.verify.engines import TOLERANCE, VerifyEngine
-from simfoundry.verify.expected import expected_readback, static_links
+from simfoundry.verify.expected import RobotReadback, expected_readback, expected_robots, static_links, without_robots
 from simfoundry.verify.readback import (
     ColliderReadback,
     JointReadback,
@@ -29,29 +30,11 @@ from simfoundry.verify.readback import (
     mesh_bounds,
     pose_of,
 )
-from simfoundry.verify.robots import RobotReadback, expected_robots, without_robots
 
-FLOORS = {
-    "mass": 1e-3,
-    "com": 0.01,
-    "inertia": 1e-9,
-    "position": 1.0,
-    "rotation": 1.0,
-    "bounds": 0.1,
-    "friction": 0.1,
-    "restitution": 0.1,
-    "torsional_friction": 1e-3,
-    "rolling_friction": 1e-3,
-    "axis": 1.0,
-    "limits": 1.0,
-    "damping": 1e-3,
-    "joint friction": 1e-3,
-    "armature": 1e-4,
-    "joint position": 1.0,
-    "law": 1.0,
-    "drive": 1.0,
-    "effort": 1.0,
-    "gravity": 1.0,
+FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "law", "drive", "effort"), 1.0) | {
+    **{"mass": 1e-3, "com": 0.01, "inertia": 1e-9, "bounds": 0.1, "friction": 0.1, "restitution": 0.1},
+    **{"torsional_friction": 1e-3, "rolling_friction": 1e-3, "damping": 1e-3, "joint friction": 1e-3},
+    **{"armature": 1e-4, "joint position": 1.0},
 }
 """Magnitudes below which an error counts as absolute, in SI units; smaller values do not matter in a tabletop scene."""
 
@@ -66,26 +49,33 @@ _WELDED = ("mass", "com", "inertia")
 """Quantities of a static link that an engine may omit."""
 
 
+_SHAPES = ("box", "sphere", "cylinder", "capsule", "convex_mesh")
+_JOINTS = ("fixed_joint", "revolute", "continuous", "prismatic", "ball", "free")
+"""The features of which one describes a collider, and of which one describes a joint."""
+
 _SURFACE = {
-    "bounds": "bounds",
-    "friction": "friction",
-    "restitution": "restitution",
-    "torsional_friction": "spinning",
-    "rolling_friction": "rolling",
+    "bounds": ("bounds", _SHAPES),
+    "friction": ("friction", ("friction",)),
+    "restitution": ("restitution", ("restitution",)),
+    "torsional_friction": ("spinning", ("torsional_friction",)),
+    "rolling_friction": ("rolling", ("rolling_friction",)),
 }
-"""The compared quantities of a collider, with their names in losses."""
+"""The compared quantities of a collider, each with its field in a read-back and its features."""
 
 _JOINT = {
-    "axis": ("axis", "axis"),
-    "limits": ("limits", "limits"),
-    "damping": ("damping", "damping"),
-    "friction": ("joint friction", "friction"),
-    "armature": ("armature", "armature"),
-    "law": ("law", "mimic"),
-    "drive": ("drive", "drive"),
-    "effort": ("effort", "drive"),
+    "axis": ("axis", ()),
+    "limits": ("limits", ("joint_limits",)),
+    "damping": ("damping", ("joint_damping",)),
+    "joint friction": ("friction", ("joint_friction",)),
+    "armature": ("armature", ("armature",)),
+    "law": ("law", ("mimic",)),
+    "drive": ("drive", ("drive",)),
+    "effort": ("effort", ("drive",)),
 }
-"""The compared quantities of a joint: the name in the table and the name in losses."""
+"""The compared quantities of a joint, each with its field in a read-back and its features."""
+
+Keys = frozenset[tuple[str, str]]
+"""The feature and the element of every loss that could explain a difference; see :class:`Loss`."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +112,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
     lost = [
         loss
         for loss in losses
-        if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.path not in names)
+        if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.feature != "robots")
     ]
     ours, robots = without_robots(facts, names)
     checker = _Checker(expected_readback(scene, engine.target.backend), ours, static_links(scene), engine)
@@ -130,17 +120,16 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
     for name, robot in expected_robots(scene, engine.target.backend).items():
         checker.robot(name, robot, robots.get(name))
     mismatches, covered = [], []
-    used: set[str] = set()
     for difference, keys in checker.found:
         loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected, scene)), None)
         gap = engine.gap(difference.quantity)
-        used |= {lo.path for lo in lost if lo.path in keys}
         reason = loss.reason if loss is not None else _gap_reason(gap, difference)
         if reason:
-            covered.append(Difference(**{**asdict(difference), "covered": reason}))
+            covered.append(replace(difference, covered=reason))
         else:
             mismatches.append(difference)
-    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, engine, checker)]
+    used = frozenset[tuple[str, str]]().union(*(keys for _, keys in checker.found))
+    stale = [lo.path for lo in lost if _key(lo) not in used and _should_show(lo, engine, checker)]
     return ReadbackComparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
 
 
@@ -155,14 +144,14 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
 
 
 class _Checker:
-    """Compares two read-backs and collects the differences, with the paths by which a loss report may name them."""
+    """Compares two read-backs and collects the differences, with the keys of the losses that may explain them."""
 
     def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
         self.expected, self.got, self.static, self.engine = expected, got, static, engine
         self.compared = 0
-        self.checked: set[str] = set()
-        self.untold: set[str] = set()
-        self.found: list[tuple[Difference, frozenset[str]]] = []
+        self.checked: set[tuple[str, str]] = set()
+        self.untold: set[tuple[str, str]] = set()
+        self.found: list[tuple[Difference, Keys]] = []
 
     def run(self) -> None:
         """Compare the names, then every quantity."""
@@ -172,7 +161,7 @@ class _Checker:
             self._link(name, self.expected.links[name], self.got.links[name])
         for name in [n for n in self.expected.joints if n in self.got.joints]:
             self._joint(name, self.expected.joints[name], self.got.joints[name])
-        self._numbers("world", "gravity", self.expected.gravity, self.got.gravity, frozenset({"gravity"}))
+        self._numbers("world", "gravity", self.expected.gravity, self.got.gravity, _keys(["gravity"], ""))
         if self.got.pairs is not None:
             self._pairs(self.expected.pairs or {}, self.got.pairs)
         if self.got.silent is not None:
@@ -180,7 +169,7 @@ class _Checker:
 
     def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
         """Compare a robot; if ``expected`` is None, only its presence is known."""
-        keys = frozenset({name})
+        keys = _keys(["robots"], name)
         self.compared += 1
         if got is None:
             self._add(name, "robot", name, None, math.inf, keys)
@@ -202,7 +191,7 @@ class _Checker:
         self.compared += len(expected)
         for name in sorted(set(expected) ^ set(got)):
             there, here = (name, None) if name in expected else (None, name)
-            self._add(name, kind, there, here, math.inf, _keys(name, kind))
+            self._add(name, kind, there, here, math.inf, _keys(("robots", *_JOINTS), *_owners(name)))
 
     def _link(self, name: str, expected: LinkReadback, got: LinkReadback) -> None:
         if expected.pose is not None and got.pose is not None:
@@ -211,54 +200,50 @@ class _Checker:
             wanted, held = getattr(expected, quantity), getattr(got, quantity)
             if held is None and name in self.static:
                 continue
-            self._numbers(name, quantity, wanted, held, _keys(name, quantity), required=True)
-        self._words(name, "held", expected.held, got.held, _keys(name, "joint"))
+            keys = _keys(["mass" if quantity == "mass" else "inertia"], *_owners(name))
+            self._numbers(name, quantity, wanted, held, keys, required=True)
+        self._words(name, "held", expected.held, got.held, _keys(("fixed", *_JOINTS), *_owners(name)))
         if got.colliders is not None:
             self._colliders(name, expected.colliders or (), got.colliders)
 
     def _pose(self, name: str, expected: Numbers, got: Numbers) -> None:
         there, here = pose_of(expected), pose_of(got)
-        keys = _keys(name, "pose")
+        keys = _keys(["pose"], *_owners(name))
         self._numbers(name, "position", expected[:3], got[:3], keys)
         self._count(name, "rotation", expected[3:], got[3:], there.angle_to(here), keys)
 
     def _colliders(self, link: str, expected: Sequence[ColliderReadback], got: Sequence[ColliderReadback]) -> None:
         self.compared += 1
         if len(expected) != len(got):
-            self._add(link, "colliders", len(expected), len(got), math.inf, _keys(link, "colliders"))
+            self._add(link, "colliders", len(expected), len(got), math.inf, _keys(_SHAPES, *_owners(link)))
             return
         by_name = {c.name: c for c in got}
         named = all(c.name is not None for c in got)
         for there, unnamed in zip(expected, got, strict=True):
             here = by_name.get(there.name) if named else unnamed
             name = f"{link}.{there.name}"
+            owners = (*_owners(link), name)
             if here is None:
-                self._add(name, "collider", there.name, None, math.inf, _keys(link, "collider", str(there.name)))
+                self._add(name, "collider", there.name, None, math.inf, _keys(_SHAPES, *owners))
                 continue
-            self._kind(name, link, there, here)
-            for quantity, field_name in _SURFACE.items():
-                keys = _keys(link, quantity, str(there.name))
-                self._numbers(name, quantity, getattr(there, field_name), getattr(here, field_name), keys)
-
-    def _kind(self, name: str, link: str, expected: ColliderReadback, got: ColliderReadback) -> None:
-        if got.kind is None:
-            return
-        self.compared += 1
-        if expected.kind != got.kind:
-            keys = _keys(link, "colliders", str(expected.name))
-            self._add(name, "shape", expected.kind, got.kind, math.inf, keys)
+            self.compared += here.kind is not None
+            if here.kind not in (None, there.kind):
+                self._add(name, "shape", there.kind, here.kind, math.inf, _keys(_SHAPES, *owners))
+            for quantity, (field_name, features) in _SURFACE.items():
+                wanted, held = getattr(there, field_name), getattr(here, field_name)
+                self._numbers(name, quantity, wanted, held, _keys(features, *owners))
 
     def _joint(self, name: str, expected: JointReadback, got: JointReadback) -> None:
         if got.type is not None:
             self.compared += 1
             if expected.type != ("revolute" if got.type == "continuous" else got.type):
-                self._add(name, "type", expected.type, got.type, math.inf, _joint_keys(name, "type"))
+                self._add(name, "type", expected.type, got.type, math.inf, _keys(_JOINTS, name))
                 return
-        for field_name, (label, lost_as) in _JOINT.items():
+        for quantity, (field_name, features) in _JOINT.items():
             wanted, held = getattr(expected, field_name), getattr(got, field_name)
-            self._numbers(name, label, wanted, held, _joint_keys(name, lost_as))
-        self._words(name, "follows", expected.follows, got.follows, _joint_keys(name, "mimic"))
-        keys = _joint_keys(name, "position")
+            self._numbers(name, quantity, wanted, held, _keys((*features, *_JOINTS), name))
+        self._words(name, "follows", expected.follows, got.follows, _keys(("mimic", *_JOINTS), name))
+        keys = _keys(("joint_position", *_JOINTS), name)
         if isinstance(expected.position, tuple) and isinstance(got.position, tuple):
             angle = pose_of((0, 0, 0, *expected.position)).angle_to(pose_of((0, 0, 0, *got.position)))
             self._count(name, "joint position", expected.position, got.position, angle, keys)
@@ -271,11 +256,11 @@ class _Checker:
         for pair in sorted(expected | got):
             ends = set(pair.split("|"))
             if ends <= colliding and not ends <= self.static:
-                keys = frozenset({"no_contact", *(f"{end.partition('.')[0]}.no_contact" for end in ends)})
+                keys = _keys(["no_contact"], "no_contact", *(end.partition(".")[0] for end in ends))
                 there, here = ("pass" if pair in each else "touch" for each in (expected, got))
                 self._words(pair.replace("|", " and "), "contact", there, here, keys)
 
-    def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: frozenset[str]) -> None:
+    def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: Keys) -> None:
         """Compare strings; values that an engine does not report are skipped."""
         if got is None or expected is None:
             self.untold |= keys
@@ -293,10 +278,10 @@ class _Checker:
             if wanted is None and a in surfaces and b in surfaces:
                 wanted = math.sqrt((surfaces[a] or 0.0) * (surfaces[b] or 0.0))
             name = pair.replace("|", " and ")
-            self._numbers(name, "friction", wanted, got.get(pair), frozenset({"friction"}), required=True)
+            self._numbers(name, "friction", wanted, got.get(pair), _keys(["friction"], ""), required=True)
 
     def _numbers(
-        self, name: str, quantity: str, expected: object, got: object, keys: frozenset[str], required: bool = False
+        self, name: str, quantity: str, expected: object, got: object, keys: Keys, required: bool = False
     ) -> None:
         """Compare scalars or vectors; values that an engine does not report are skipped unless they are required."""
         if got is None or expected is None:
@@ -313,45 +298,35 @@ class _Checker:
         error = float(np.linalg.norm(here - there)) / max(float(np.linalg.norm(there)), FLOORS[quantity])
         self._count(name, quantity, expected, got, error, keys)
 
-    def _count(
-        self, name: str, quantity: str, expected: object, got: object, error: float, keys: frozenset[str]
-    ) -> None:
+    def _count(self, name: str, quantity: str, expected: object, got: object, error: float, keys: Keys) -> None:
         self.compared += 1
         self.checked |= keys
         if not error <= self.engine.tolerance(quantity):  # NaN is a difference, too
             self._add(name, quantity, expected, got, error, keys)
 
-    def _add(self, name: str, quantity: str, expected: object, got: object, error: float, keys: frozenset[str]) -> None:
+    def _add(self, name: str, quantity: str, expected: object, got: object, error: float, keys: Keys) -> None:
         self.checked |= keys
         self.found.append((Difference(name, quantity, expected, got, error), keys))
 
 
-def _joint_keys(name: str, quantity: str) -> frozenset[str]:
-    """Return the paths that name a quantity of a joint, without those of its object, which concern surfaces."""
-    found = {name.partition(".")[0], name, f"{name}.{quantity}"}
-    return frozenset(found | {f"{name}.drive.stiffness", f"{name}.drive.damping"} if quantity == "drive" else found)
+def _keys(features: Iterable[str], *elements: str) -> Keys:
+    return frozenset(product(features, elements))
 
 
-def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
-    """Return the paths in a loss report for a quantity of a link, its object, or one of its colliders."""
-    item = name.partition(".")[0]
-    keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
-    if part:
-        keys |= {f"{name}.{part}", f"{name}.{part}.{quantity}", f"{item}.colliders", f"{name}.colliders"}
-        keys |= {f"{name}.{part}.colliders"}
-        if quantity != "bounds" and quantity in _SURFACE:
-            keys -= {f"{item}.colliders", f"{name}.colliders"}
-    return frozenset(keys)
+def _key(loss: Loss) -> tuple[str, str]:
+    return loss.feature, loss.element
 
 
-def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
+def _owners(link: str) -> tuple[str, str]:
+    """Return the object of a link and the link, by either of which a loss may name it."""
+    return link.partition(".")[0], link
+
+
+def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
     """Return true if a loss explains a difference; an approximation covers at most its stated size."""
-    path = loss.path
     if loss.fidelity is Fidelity.DROPPED:
-        return path in keys or path == difference.quantity
-    if difference.quantity in _WHOLE:
-        return False
-    if path not in keys:
+        return _key(loss) in keys or (not loss.element and any(loss.feature == feature for feature, _ in keys))
+    if difference.quantity in _WHOLE or _key(loss) not in keys:
         return False
     if difference.quantity == "bounds":
         off = np.abs(np.asarray(difference.expected) - np.asarray(difference.got))
@@ -388,5 +363,5 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
 
 def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
     """Return true if the element of a loss was compared, so that the loss should have caused a difference."""
-    seen = loss.path in checker.checked and loss.path not in checker.untold
-    return "." in loss.path and seen and loss.feature not in engine.restored
+    seen = _key(loss) in checker.checked - checker.untold
+    return bool(loss.element) and seen and loss.feature not in engine.restored

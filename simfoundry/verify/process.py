@@ -1,21 +1,34 @@
-"""Reader processes for engines, so that a crash or hang becomes an error result instead of ending the run."""
+"""Reader processes for engines, so that a crash or hang becomes an error result instead of ending the run.
+
+:func:`main` runs in the process of an engine; its argument is the ``readback.py`` of a target. Each job is a line of
+JSON on standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each result is
+a line of JSON on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. Output of the engine goes to
+standard error. With ``--probe``, it prints, as a line of JSON, the given packages that its interpreter can import, with
+versions.
+"""
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 import json
+import os
 import queue
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any
 
 import simfoundry
-from simfoundry.verify.readback import Moment, WorldReadback
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import Moment, Session, WorldReadback
 
 _PACKAGE = Path(simfoundry.__file__).resolve().parent
 
@@ -24,7 +37,7 @@ _START = (
     "import importlib.util as u, sys; i, d = sys.argv[1:3]; "
     "s = u.spec_from_file_location('simfoundry', i, submodule_search_locations=[d]); "
     "m = sys.modules['simfoundry'] = u.module_from_spec(s); s.loader.exec_module(m); "
-    "from simfoundry.verify.reader import main; sys.exit(main(sys.argv[3:]))"
+    "from simfoundry.verify.process import main; sys.exit(main(sys.argv[3:]))"
 )
 
 PROBE_S = 60.0
@@ -135,16 +148,10 @@ def _one(
         line = None
     if line is None:
         return _failure(_how_it_ended(process), log, start), False
-    data = json.loads(line)
-    seconds = time.monotonic() - start
-    if "error" in data:
-        return EngineAnswer(None, (), data["error"], seconds), True
-    return _decoded(data, seconds), True
-
-
-def _decoded(data: dict[str, Any], seconds: float) -> EngineAnswer:
+    data = {"facts": None, "moments": [], "error": ""} | json.loads(line)
     facts = None if data["facts"] is None else WorldReadback.from_json(data["facts"])
-    return EngineAnswer(facts, tuple(Moment.from_json(m) for m in data["moments"]), "", seconds)
+    moments = tuple(Moment.from_json(moment) for moment in data["moments"])
+    return EngineAnswer(facts, moments, data["error"], time.monotonic() - start), True
 
 
 def _listen(stream: IO[str], lines: queue.SimpleQueue[str | None]) -> None:
@@ -169,3 +176,59 @@ def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
     last = f"; its last output was: {said[-1][:200]}" if said else ""
     return EngineAnswer(None, (), what + last, time.monotonic() - start)
+
+
+def main(arguments: list[str]) -> int:
+    """Answer every job; return 0 unless the arguments are wrong."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # engines print to standard output, which carries the answers
+    if arguments[:1] == ["--probe"]:
+        print(json.dumps(probe(arguments[1:])), file=answers, flush=True)
+        return 0
+    readback = import_file(Path(arguments[0]))
+    for line in sys.stdin:
+        print(json.dumps(answer(readback, json.loads(line))), file=answers, flush=True)
+    return 0
+
+
+def probe(packages: list[str]) -> dict[str, str]:
+    """Return the versions of the given ``module:distribution`` entries found here, without importing any."""
+    found = {}
+    for entry in packages:
+        module, _, distribution = entry.partition(":")
+        try:
+            if importlib.util.find_spec(module) is None:
+                continue
+            found[entry] = importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            found[entry] = "unknown"
+        except (ImportError, ValueError):
+            continue
+    return found
+
+
+def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
+    """Return an engine's read-back of a build, or the samples of a run."""
+    try:
+        build = Path(job["build"])
+        session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
+    except Exception as error:  # any error of the engine is the answer
+        return {"error": f"{type(error).__name__}: {error}"}
+    try:
+        moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
+        return {"facts": None if moments else session.read().to_json(), "moments": moments}
+    except Exception as error:
+        return {"error": f"{type(error).__name__}: {error}"}
+    finally:
+        session.close()
+
+
+def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
+    """Return samples at the start and then about every ``every`` seconds, at whole time steps."""
+    steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
+    moments = [session.moment(0.0).to_json()]
+    for k in range(1, steps + 1):
+        session.step()
+        if k % stride == 0 or k == steps:
+            moments.append(session.moment(k * session.timestep).to_json())
+    return moments

@@ -7,9 +7,10 @@ This module needs only numpy, because it runs beside each engine in that engine'
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -136,29 +137,30 @@ TIMESTEP = 1e-3
 """Time step [s] for engines whose build does not set one, small enough for all behaviors of ``verify``."""
 
 
-class Session(Protocol):
-    """A build loaded in an engine, in the initial state of the scene."""
+class Session(ABC):
+    """A build loaded in an engine, in the initial state of the scene; ``timestep`` [s] is 0 if it cannot be stepped."""
 
-    @property
-    def timestep(self) -> float:
-        """Time step [s]; 0 if the engine cannot step."""
-        ...
+    timestep = TIMESTEP
 
+    @abstractmethod
     def read(self) -> WorldReadback:
         """Return the data that the engine holds."""
-        ...
 
+    @abstractmethod
     def step(self) -> None:
         """Advance by one step."""
-        ...
 
+    @abstractmethod
     def moment(self, time: float) -> Moment:
         """Return the current sample; ``time`` [s] is only recorded."""
-        ...
 
-    def close(self) -> None:
-        """Release the engine."""
-        ...
+    def close(self) -> None:  # noqa: B027  # most engines free their memory with the session
+        """Release the engine, if it does not do so with the object."""
+
+
+def driven(joints: Mapping[str, JointReadback]) -> tuple[str, ...]:
+    """Return the names of the joints with a motor."""
+    return tuple(name for name, joint in joints.items() if joint.drive)
 
 
 def numbers(values: object) -> Numbers:

@@ -22,21 +22,17 @@ def open_world(scene: Scene, engine: str) -> World:
 
     Raises :class:`UnknownWorldError`, or :class:`MissingEngineError`, which explains how to install it.
     """
-    world = _world_class(engine)
-    if world is None:
-        raise UnknownWorldError(f"scenes cannot be run in `{engine}`; the simulators are: {', '.join(world_names())}")
-    module, _, name = world.partition(":")
+    module, _, name = find_world(engine).partition(":")
     opened: World = getattr(import_module(module), name)(scene)
     return opened
 
 
-def is_world(engine: str) -> bool:
-    """Return true if scenes can be run in the simulator called ``engine``."""
-    return _world_class(engine) is not None
+def find_world(engine: str) -> str:
+    """Return the class of the simulator called ``engine``; raise :class:`UnknownWorldError` for any other name."""
+    world = find_target(engine).profile.world if engine in target_names() else None
+    if world is None:
+        raise UnknownWorldError(f"scenes cannot be run in `{engine}`; the simulators are: {', '.join(world_names())}")
+    return world
 
 
-def _world_class(engine: str) -> str | None:
-    return find_target(engine).profile.world if engine in target_names() else None
-
-
-__all__ = ["Contact", "MissingEngineError", "World", "is_world", "open_world", "world_names"]
+__all__ = ["Contact", "MissingEngineError", "UnknownWorldError", "World", "find_world", "open_world", "world_names"]

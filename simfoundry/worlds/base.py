@@ -1,24 +1,62 @@
-"""The protocol of a world, which lets predicates, tasks and checks run in any simulator."""
+"""The protocols of a world and its robots, which let predicates, tasks and checks run in any simulator.
+
+Cameras are at their current poses, including those mounted on links, for images of any size.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array
-from simfoundry.scene.model import Joint, Scene
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Camera, Joint, MountedCamera, Scene, SceneObject
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.robot import WorldRobot
 
 if TYPE_CHECKING:
     from simfoundry.predicates import Judge, Verdict
+
+
+class WorldRobot(Protocol):
+    """A robot in a world. Targets hold until they change; the world's ``step`` advances the motion."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The names of the arm's joints in the scene, in order."""
+
+    def positions(self) -> dict[str, float]:
+        """Return the positions of the arm's joints [rad or m]."""
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
+
+    def set_targets(self, targets: Mapping[str, float]) -> None:
+        """Set target positions of arm joints [rad or m], within their limits; other joints keep their targets.
+
+        Raises a KeyError for a joint that the robot does not have.
+        """
+
+    def gripper(self) -> float:
+        """Return the closed share of the gripper, from 0 (open) to 1 (closed); always 0 without a gripper."""
+
+    def set_gripper(self, closed: float) -> None:
+        """Set the target of the gripper: 0 is open, 1 is closed; other values are clipped."""
+
+    def frame(self, name: str) -> Pose:
+        """Return the pose in the world of a frame, ``hand`` or ``base``, or of a link by the model's name."""
+
+
+def unknown_joint(robot: str, joint: str, known: tuple[str, ...]) -> KeyError:
+    """Return the error for a joint that a robot does not have."""
+    return KeyError(f"robot {robot!r} has no joint {joint!r}; there are: {', '.join(known)}")
+
 
 Image = NDArray[np.uint8]
 """A color image: sRGB, shape (h, w, 3)."""
@@ -42,8 +80,8 @@ class Contact:
     position: Array
 
 
-class Judging(ABC):
-    """Evaluation of predicates in the current state of a world."""
+class BaseWorld(ABC):
+    """The part of a :class:`World` that is the same in every simulator."""
 
     scene: Scene
 
@@ -61,6 +99,18 @@ class Judging(ABC):
 
         return Judge(self.scene)
 
+    @abstractmethod
+    def close(self) -> None:
+        """Release the simulator."""
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
 
 class World(Protocol):
     """A simulator that holds one scene. Use it as a context manager, or call :meth:`close`."""
@@ -70,7 +120,6 @@ class World(Protocol):
     @property
     def timestep(self) -> float:
         """Time step [s]."""
-        ...
 
     def reset(self, state: SceneState | None = None) -> None:
         """Set ``state`` with zero velocities; without one, the state that the scene describes.
@@ -78,31 +127,24 @@ class World(Protocol):
         Values that ``state`` omits are those of the scene; its velocities are ignored. Robots hold their positions.
         Raises a KeyError for names that are not in the scene.
         """
-        ...
 
     def step(self, n: int = 1) -> None:
         """Advance by ``n`` time steps."""
-        ...
 
     def halt(self) -> None:
         """Set all velocities to zero; poses and positions are unchanged."""
-        ...
 
     def state(self) -> SceneState:
         """Return the poses and speeds of all objects and the positions of all joints, including robots."""
-        ...
 
     def judge(self, condition: Any) -> Verdict:
         """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
-        ...
 
     def contacts(self) -> list[Contact]:
         """Return the current contacts between different objects and robots."""
-        ...
 
     def robot(self, name: str) -> WorldRobot:
         """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
-        ...
 
     def render(self, camera: str, width: int, height: int) -> Image:
         """Render a camera of the scene, including robots: sRGB, uint8, shape (height, width, 3).
@@ -111,25 +153,18 @@ class World(Protocol):
         unchanged. Raises a KeyError with the valid names for an unknown camera, and a RenderError if rendering is not
         available.
         """
-        ...
 
     def trouble(self) -> str:
         """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
-        ...
 
     def close(self) -> None:
         """Release the simulator."""
-        ...
 
     def __enter__(self) -> Self:
         """Return itself."""
-        ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close."""
-        ...
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
@@ -165,3 +200,47 @@ def _check_known(kind: str, given: Mapping[str, object], known: Mapping[str, obj
     unknown = sorted(set(given) - set(known))
     if unknown:
         raise KeyError(f"no {kind} {unknown[0]!r} in this scene; there are: {', '.join(known) or 'none'}")
+
+
+def camera_now(world: World, mounted: MountedCamera) -> Camera:
+    """Return the camera at its current pose in the world."""
+    scene = world.scene
+    if any(robot.name == mounted.carrier for robot in scene.robots):
+        robot = scene.robot(mounted.carrier)
+        X_WL = world.robot(mounted.carrier).frame(mounted.link) if mounted.link else robot.X_WB
+    else:
+        item = scene.object(mounted.carrier)
+        state = world.state()
+        X_OL = link_poses(item, state.of_object(item))[mounted.link or item.root.name]
+        X_WL = state.poses[item.name] @ X_OL
+    return replace(mounted.camera, X_WC=X_WL @ mounted.camera.X_WC)
+
+
+def camera_of(world: World, name: str, width: int, height: int) -> Camera:
+    """Return the current camera ``name`` for another image size; raise a KeyError with the valid names if unknown."""
+    for camera in world.scene.cameras:
+        if camera.name == name:
+            return resized(camera, width, height)
+    for mounted in world.scene.mounted:
+        if mounted.camera.name == name:
+            return resized(camera_now(world, mounted), width, height)
+    known = [c.name for c in world.scene.cameras] + [m.camera.name for m in world.scene.mounted]
+    raise KeyError(f"no camera {name!r}; there are: {', '.join(known) or 'none'}")
+
+
+def resized(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera with ``width`` x ``height`` pixels, scaled uniformly and cropped if the aspect ratio differs.
+
+    The result equals the original image scaled to cover the new one and then cropped equally on both sides.
+    """
+    scale = max(width / camera.width, height / camera.height)
+    off_x, off_y = (camera.width * scale - width) / 2, (camera.height * scale - height) / 2
+    # Pixel centers have integer coordinates, so the image begins at -0.5.
+    cx, cy = (camera.cx + 0.5) * scale - 0.5 - off_x, (camera.cy + 0.5) * scale - 0.5 - off_y
+    return replace(camera, width=width, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
+
+
+def reach(item: SceneObject) -> float:
+    """Return the distance [m] from an object's frame to the farthest corner of its bounding box."""
+    low, high = bounds(item)
+    return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high))))

@@ -3,40 +3,46 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import json
 import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from types import ModuleType, TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.kinematics import Tree, free_motions, link_poses, trees
 from simfoundry.scene.model import JointType, Scene
+from simfoundry.scene.robot import Gripper
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, Judging, complete_state
+from simfoundry.worlds.base import (
+    CONTACT_GAP,
+    BaseWorld,
+    Contact,
+    Image,
+    WorldRobot,
+    camera_of,
+    complete_state,
+    reach,
+    unknown_joint,
+)
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
-from simfoundry.worlds.mounted import camera_of
-from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
-from simfoundry.worlds.robot import WorldRobot
 from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, urdf_rows
-from simfoundry.worlds.speed import reach
 
 BASE = -1
 """PyBullet's index of the root link; any other link has the index of its parent joint."""
 
 
-class PybulletWorld(Judging):
+class PybulletWorld(BaseWorld):
     """A :class:`~simfoundry.worlds.World` for PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
 
     The world is created from a build by the same ``load.py`` that users get.
@@ -46,12 +52,16 @@ class PybulletWorld(Judging):
         self.scene = scene
         self.client = -1
         with quiet_native_output():
-            self._bullet = _import_pybullet()
+            try:
+                import pybullet
+            except ImportError as error:
+                raise MissingEngineError(f"PyBullet is not installed; install with {PYBULLET_REMEDY}") from error
+            self._bullet = pybullet
             self.client = self._bullet.connect(self._bullet.DIRECT)
             with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
                 folder = Path(temporary) / "world"
                 compile_pybullet(scene).write(folder)
-                self._loader = _import_file(folder / "load.py")
+                self._loader = import_file(folder / "load.py")
                 every: dict[str, int] = self._loader.load(self.client)
                 facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
         self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
@@ -60,34 +70,30 @@ class PybulletWorld(Judging):
         self._robots = {n: PybulletRobotHandle(self._call, hold, press, n, every[n], facts[n]) for n in facts}
         self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
         self._objects |= {every[name]: name for name in facts}
-        self._bodies = {body: name for name, body in self.bodies.items()}
-        self._links: dict[str, tuple[int, int]] = {}
         self._joints: dict[str, tuple[int, int]] = {}
         for tree in self._trees.values():
             self._index_names(tree)
         self._arms = {name: urdf_rows(scene.robot(name), handle.moving) for name, handle in self._robots.items()}
         self._reach = {item.name: reach(item) for item in scene.objects if item.joints or not item.fixed}
-        self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
+        inertial = {name: self._call("getDynamicsInfo", body, BASE)[3:5] for name, body in self.bodies.items()}
+        self._X_OI = {name: Pose.of(p, from_xyzw(q)) for name, (p, q) in inertial.items()}
         self._fresh: int = self._call("saveState")
         """Bullet's saved state before the first step, including contacts and the solver's warm-start data."""
         self.reset()
 
     def _index_names(self, tree: Tree) -> None:
         item, body = tree.owner, self.bodies[tree.name]
-        self._links[tree.name] = (body, BASE)
         for index in range(self._call("getNumJoints", body)):
             info = self._call("getJointInfo", body, index)
-            self._links[item.qualified(info[12].decode())] = (body, index)
             if info[2] != self._bullet.JOINT_FIXED:
                 self._joints[f"{item.name}.{info[1].decode()}"] = (body, index)
 
     def _call(self, function: str, *args: object, **options: object) -> Any:
         return getattr(self._bullet, function)(*args, physicsClientId=self.client, **options)
 
-    def _inertial_pose(self, body: int, index: int) -> Pose:
-        """Return the pose of a link's inertial frame in its link frame."""
-        p, q = self._call("getDynamicsInfo", body, index)[3:5]
-        return Pose.of(p, from_xyzw(q))
+    def _base_pose(self, name: str) -> Pose:
+        p, q = self._call("getBasePositionAndOrientation", self.bodies[name])
+        return Pose.of(p, from_xyzw(q)) @ self._X_OI[name].inverse()
 
     @property
     def timestep(self) -> float:
@@ -148,7 +154,7 @@ class PybulletWorld(Judging):
 
     def state(self) -> SceneState:
         """Return the poses and speeds of all objects and the positions of all joints, including robots."""
-        poses = {item.name: self._link_pose(self.bodies[item.name], BASE) for item in self.scene.objects}
+        poses = {item.name: self._base_pose(item.name) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
         for name, at in self._joints.items():
@@ -160,7 +166,7 @@ class PybulletWorld(Judging):
             free = [joint for joint in item.joints if joint.type is JointType.FREE]
             if free:
                 X_OW, positions = poses[item.name].inverse(), SceneState(poses, joints, motions).of_object(item)
-                X_OT = {j.child: X_OW @ self._link_pose(self.bodies[item.qualified(j.child)], BASE) for j in free}
+                X_OT = {j.child: X_OW @ self._base_pose(item.qualified(j.child)) for j in free}
                 found = free_motions(item, positions, X_OT)
                 motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
         robots = {n: positions_of(self._arms[n], r.model_positions()) for n, r in self._robots.items() if self._arms[n]}
@@ -186,14 +192,6 @@ class PybulletWorld(Judging):
     def _is_ball(self, name: str) -> bool:
         body, index = self._joints[name]
         return bool(self._call("getJointInfo", body, index)[2] == self._bullet.JOINT_SPHERICAL)
-
-    def _link_pose(self, body: int, index: int) -> Pose:
-        if index == BASE:
-            p, q = self._call("getBasePositionAndOrientation", body)
-            return Pose.of(p, from_xyzw(q)) @ self._X_OI[self._bodies[body]].inverse()
-        # Bullet stores link frames in single precision; inertial frames, in double precision, give the same pose.
-        p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
-        return Pose.of(p, from_xyzw(q)) @ self._inertial_pose(body, index).inverse()
 
     def contacts(self) -> list[Contact]:
         """Return the current contacts between different objects."""
@@ -230,40 +228,14 @@ class PybulletWorld(Judging):
             self._bullet.disconnect(self.client)
         self.client = -1
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
-        self.close()
-
-
-def _import_pybullet() -> ModuleType:
-    try:
-        import pybullet
-    except ImportError as error:
-        raise MissingEngineError(f"PyBullet is not installed; install with {PYBULLET_REMEDY}") from error
-    module: ModuleType = pybullet
-    return module
-
-
-def _import_file(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("simfoundry_pybullet_world", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot import {path}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
 
 @contextmanager
 def quiet_native_output() -> Iterator[None]:
     """Discard the output of native code; PyBullet prints a greeting to stderr and warnings to stdout."""
     libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
-    _flush(libc)
+    flush = (sys.stdout.flush, sys.stderr.flush, partial(libc.fflush, None))
+    for each in flush:
+        each()
     saved = os.dup(1), os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -271,14 +243,129 @@ def quiet_native_output() -> Iterator[None]:
         os.dup2(nowhere, 2)
         yield
     finally:
-        _flush(libc)  # otherwise C's buffer would be printed later, to the restored streams
+        for each in flush:  # otherwise C's buffer would be printed later, to the restored streams
+            each()
         os.dup2(saved[0], 1)
         os.dup2(saved[1], 2)
         for descriptor in (*saved, nowhere):
             os.close(descriptor)
 
 
-def _flush(libc: ctypes.CDLL) -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    libc.fflush(None)
+Call = Callable[..., Any]
+"""A PyBullet function called by name for one client, or a loader function that commands a motor."""
+
+
+class PybulletRobotHandle:
+    """A :class:`~simfoundry.worlds.base.WorldRobot` for PyBullet; targets are those of its position motors.
+
+    ``facts`` is the robot's entry in ``world.json``.
+    """
+
+    def __init__(self, call: Call, hold: Call, press: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
+        self._call, self._hold, self._name, self._body, self._facts = call, hold, name, body, facts
+        self._press = press
+        self._targets = {joint: motor["target"] for joint, motor in facts["motors"].items()}
+        self._servos = [joint for joint, motor in facts["motors"].items() if "stiffness" in motor]
+        infos = [call("getJointInfo", body, k) for k in range(call("getNumJoints", body))]
+        self._index = {info[1].decode(): k for k, info in enumerate(infos)}
+        self._limits = {info[1].decode(): (float(info[8]), float(info[9])) for info in infos}
+        self._links = {info[12].decode(): k for k, info in enumerate(infos)}
+        self._links[call("getBodyInfo", body)[0].decode()] = -1
+        self._gripper = Gripper({}, {n: tuple(pair) for n, pair in facts["gripper"].items()}, facts["follow"])
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The names of the arm's joints in the scene, in order."""
+        return tuple(self._facts["arm"])
+
+    def positions(self) -> dict[str, float]:
+        """Return the positions of the arm's joints [rad or m]."""
+        return {name: self._position(joint) for name, joint in self._facts["arm"].items()}
+
+    def _position(self, joint: str) -> float:
+        return float(self._call("getJointState", self._body, self._index[joint])[0])
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
+        found = {name: self._limits[joint] for name, joint in self._facts["arm"].items()}
+        return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
+
+    def set_targets(self, targets: Mapping[str, float]) -> None:
+        """Set target positions of arm joints [rad or m]; raise a KeyError for a joint that the robot does not have."""
+        for name, target in targets.items():
+            if name not in self._facts["arm"]:
+                raise unknown_joint(self._name, name, self.joints)
+            self._drive(self._facts["arm"][name], target)
+
+    def _drive(self, joint: str, target: float) -> None:
+        low, high = self._limits[joint]
+        if low <= high:
+            target = min(max(target, low), high)
+        self._targets[joint] = target
+        self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
+
+    def press(self) -> None:
+        """Limit the force of each gripper servo to that of its spring; call this before every step."""
+        for joint in self._servos:
+            self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
+
+    def gripper(self) -> float:
+        """Return the closed share of the gripper, from 0 (open) to 1 (closed)."""
+        if not self._gripper.joints:
+            return 0.0
+        return self._gripper.closed(self._position(next(iter(self._gripper.joints))))
+
+    def set_gripper(self, closed: float) -> None:
+        """Set the target of the gripper: 0 is open, 1 is closed."""
+        share = min(max(closed, 0.0), 1.0)
+        for joint, (start, end) in self._gripper.joints.items():
+            if joint in self._facts["motors"]:
+                self._drive(joint, start + share * (end - start))
+
+    def frame(self, name: str) -> Pose:
+        """Return the pose in the world of a frame, or of a link by model name; a KeyError lists the valid links."""
+        known = self._facts["frames"].get(name)
+        link = known["link"] if known is not None else name
+        if link not in self._links:
+            raise KeyError(f"robot {self._name!r} has no link {link!r}; there are: {', '.join(self._links)}")
+        X_LF = Pose.of(known["p"], known["q_wxyz"]) if known is not None else Pose.of()
+        return self._link_pose(self._links[link]) @ X_LF
+
+    def _link_pose(self, index: int) -> Pose:
+        p, q = self._call("getDynamicsInfo", self._body, index)[3:5]
+        X_LI = Pose.of(p, from_xyzw(q))
+        if index == BASE:
+            p, q = self._call("getBasePositionAndOrientation", self._body)
+        else:
+            p, q = self._call("getLinkState", self._body, index, computeForwardKinematics=True)[:2]
+        return Pose.of(p, from_xyzw(q)) @ X_LI.inverse()
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """The names of all movable joints in the model."""
+        return tuple(self._facts["joints"])
+
+    def model_positions(self) -> dict[str, float]:
+        """Return the positions of all movable joints [rad or m], by the model's names."""
+        names = self.moving
+        states = self._call("getJointStates", self._body, [self._index[name] for name in names])
+        return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
+
+    def reset(self, positions: Mapping[str, float] | None = None) -> None:
+        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by the model's names, at rest.
+
+        The motors hold these positions, and mimic joints are set from their leaders.
+        """
+        given = dict(positions or {})
+        for joint, follow in self._gripper.follow.items():
+            if follow["joint"] in given:  # type: ignore[index]
+                given.setdefault(joint, follow["multiplier"] * given[follow["joint"]] + follow["offset"])  # type: ignore[index]
+        for name, position in self._facts["joints"].items():
+            self._call("resetJointState", self._body, self._index[name], given.get(name, position), 0.0)
+        for name, motor in self._facts["motors"].items():
+            self._drive(name, given.get(name, motor["target"]))
+
+    def halt(self) -> None:
+        """Set the velocities of the robot's joints to zero."""
+        for name in self._facts["joints"]:
+            self._call("resetJointState", self._body, self._index[name], self._position(name), 0.0)

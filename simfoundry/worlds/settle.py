@@ -22,8 +22,17 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Contact, World
-from simfoundry.worlds.footing import NUDGE_DEG, STEEP, has_foot, is_ball, supporters, topples
-from simfoundry.worlds.rest import is_confined, run_to_rest, tilt_deg
+from simfoundry.worlds.rest import (
+    NUDGE_DEG,
+    STEEP,
+    has_foot,
+    is_ball,
+    is_confined,
+    run_to_rest,
+    supporters,
+    tilt_deg,
+    topples,
+)
 
 Progress = Callable[[str, float], None]
 

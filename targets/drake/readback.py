@@ -16,33 +16,16 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.verify.readback import (
-    FREE,
-    TIMESTEP,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Numbers,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the diagram from the loader."""
-    return DrakeSession(*loader.load(TIMESTEP))
+    return DrakeSession(*loader.load(rb.TIMESTEP))
 
 
-class DrakeSession:
+class DrakeSession(rb.Session):
     """A Drake diagram with a discrete plant."""
-
-    timestep = TIMESTEP
 
     def __init__(self, diagram: Diagram, plant: MultibodyPlant, models: dict[str, ModelInstanceIndex]) -> None:
         self.diagram, self.plant = diagram, plant
@@ -64,23 +47,20 @@ class DrakeSession:
         """Advance the discrete plant by one step."""
         self._simulator.AdvanceTo(self._simulator.get_context().get_time() + self.timestep)
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the poses of the root links and the positions of the joints."""
-        poses = {name: pose_numbers(self._pose(body)) for name, body in self._bodies.items() if "." not in name}
-        return Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
+        poses = {name: rb.pose_numbers(self._pose(body)) for name, body in self._bodies.items() if "." not in name}
+        return rb.Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return links, joints and gravity."""
         joints = {name: self._joint(joint) for name, joint in self._joints.items()}
-        return WorldReadback(
+        return rb.WorldReadback(
             links={name: self._link(body) for name, body in self._bodies.items()},
             joints=joints,
-            gravity=numbers(self.plant.gravity_field().gravity_vector()),
-            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+            gravity=rb.numbers(self.plant.gravity_field().gravity_vector()),
+            actuators=rb.driven(joints),
         )
-
-    def close(self) -> None:
-        """Do nothing; Drake frees the diagram with the object."""
 
     def _pose(self, body: RigidBody) -> Pose:
         return _pose(self.plant.EvalBodyPoseInWorld(self._context, body))
@@ -88,31 +68,31 @@ class DrakeSession:
     def _position(self, joint: Any) -> float:
         return float(joint.GetOnePosition(self._context))
 
-    def _link(self, body: RigidBody) -> LinkReadback:
+    def _link(self, body: RigidBody) -> rb.LinkReadback:
         spatial = body.default_spatial_inertia()
         com = np.asarray(spatial.get_com())
         about_com = spatial.Shift(com).CalcRotationalInertia().CopyToFullMatrix3()
         inspector = self._simulator_inspector()
         colliders = tuple(_collider(inspector, g) for g in self.plant.GetCollisionGeometriesForBody(body))
-        return LinkReadback(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
-                         numbers(about_com), self._held(body), colliders)  # fmt: skip
+        return rb.LinkReadback(rb.pose_numbers(self._pose(body)), float(spatial.get_mass()), rb.numbers(com),
+                         rb.numbers(about_com), self._held(body), colliders)  # fmt: skip
 
     def _held(self, body: RigidBody) -> str:
         """Return the parent of a body: its joint's parent, or free for a floating body."""
         if body.is_floating():
-            return FREE
+            return rb.FREE
         for index in self.plant.GetJointIndices():
             joint = self.plant.get_joint(index)
             if joint.child_body().index() == body.index():
                 above = joint.parent_body().index()
-                return next((name for name, each in self._bodies.items() if each.index() == above), WORLD)
-        return FREE
+                return next((name for name, each in self._bodies.items() if each.index() == above), rb.WORLD)
+        return rb.FREE
 
     def _simulator_inspector(self) -> Any:
         (scene_graph,) = [s for s in self.diagram.GetSystems() if s.get_name() == "scene_graph"]
         return scene_graph.model_inspector()
 
-    def _joint(self, joint: Any) -> JointReadback:
+    def _joint(self, joint: Any) -> rb.JointReadback:
         """Return the values of a joint; Drake has no Coulomb friction, and armature is the loader's rotor inertia.
 
         The target is read where it reaches the plant, so that an unconnected port is detected.
@@ -122,14 +102,14 @@ class DrakeSession:
         axis = joint.translation_axis() if kind == "prismatic" else joint.revolute_axis()
         X_CJ = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame())
         actuator = self._actuator(joint)
-        drive: Numbers = ()
+        drive: rb.Numbers = ()
         if actuator is not None and actuator.has_controller():
             gains = actuator.get_controller_gains()
             drive = (float(gains.p), float(gains.d), *self._target(actuator))
         limit = math.inf if actuator is None else float(actuator.effort_limit())
-        return JointReadback(
+        return rb.JointReadback(
             type=kind,
-            axis=numbers(X_CJ.rotation @ axis),
+            axis=rb.numbers(X_CJ.rotation @ axis),
             limits=(low, high) if math.isfinite(low) and math.isfinite(high) else (),
             damping=float(joint.default_damping()),
             friction=0.0,
@@ -147,7 +127,7 @@ class DrakeSession:
                 return actuator
         return None
 
-    def _target(self, actuator: Any) -> Numbers:
+    def _target(self, actuator: Any) -> rb.Numbers:
         """Return the target of a controller; empty if its port is not connected, which disables the controller."""
         model = actuator.model_instance()
         port = self.plant.get_desired_state_input_port(model)
@@ -157,29 +137,29 @@ class DrakeSession:
         return (float(port.Eval(self._context)[rank]),)
 
 
-def _collider(inspector: Any, geometry: Any) -> ColliderReadback:
+def _collider(inspector: Any, geometry: Any) -> rb.ColliderReadback:
     name = inspector.GetName(geometry).rpartition("::")[2]
     kind, bounds = _shape(inspector.GetShape(geometry), inspector, geometry)
     properties = inspector.GetProximityProperties(geometry)
     friction = properties.GetProperty("material", "coulomb_friction").dynamic_friction()
-    return ColliderReadback(name, kind, bounds, float(friction))
+    return rb.ColliderReadback(name, kind, bounds, float(friction))
 
 
-def _shape(shape: Any, inspector: Any, geometry: Any) -> tuple[str, Numbers | None]:
+def _shape(shape: Any, inspector: Any, geometry: Any) -> tuple[str, rb.Numbers | None]:
     X_LG = _pose(inspector.GetPoseInFrame(geometry))
     match shape:
         case Box():
-            return "box", shape_bounds("box", shape.size(), X_LG)
+            return "box", rb.shape_bounds("box", shape.size(), X_LG)
         case Sphere():
-            return "sphere", shape_bounds("sphere", [shape.radius()], X_LG)
+            return "sphere", rb.shape_bounds("sphere", [shape.radius()], X_LG)
         case Cylinder():
-            return "cylinder", shape_bounds("cylinder", [shape.radius(), shape.length()], X_LG)
+            return "cylinder", rb.shape_bounds("cylinder", [shape.radius(), shape.length()], X_LG)
         case Capsule():
-            return "capsule", shape_bounds("capsule", [shape.radius(), shape.length()], X_LG)
+            return "capsule", rb.shape_bounds("capsule", [shape.radius(), shape.length()], X_LG)
         case Mesh() | Convex():
             hull = shape.GetConvexHull()
             vertices = np.array([hull.vertex(k) for k in range(hull.num_vertices())])
-            return "mesh", mesh_bounds(vertices, X_LG)
+            return "mesh", rb.mesh_bounds(vertices, X_LG)
     return "other", None
 
 

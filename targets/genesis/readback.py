@@ -10,37 +10,20 @@ import genesis as gs
 import numpy as np
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.verify.readback import (
-    FREE,
-    TIMESTEP,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Numbers,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 _NO_LIMIT = 1e8
 _TYPES = {gs.JOINT_TYPE.REVOLUTE: "revolute", gs.JOINT_TYPE.PRISMATIC: "prismatic"}
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the scene from the loader."""
-    scene, entities = loader.load(time_step=TIMESTEP)
+    scene, entities = loader.load(time_step=rb.TIMESTEP)
     return GenesisSession(scene, entities)
 
 
-class GenesisSession:
+class GenesisSession(rb.Session):
     """A Genesis scene on the CPU with its entities."""
-
-    timestep = TIMESTEP
 
     def __init__(self, scene: Any, entities: dict[str, Any]) -> None:
         self.scene, self.entities = scene, entities
@@ -55,14 +38,14 @@ class GenesisSession:
         """One step."""
         self.scene.step()
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the poses of the root links and the positions of the joints."""
-        poses = {name: pose_numbers(_poses(entity)[0]) for name, entity in self.entities.items()}
-        return Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
+        poses = {name: rb.pose_numbers(_poses(entity)[0]) for name, entity in self.entities.items()}
+        return rb.Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return links, joints and gravity."""
-        links: dict[str, LinkReadback] = {}
+        links: dict[str, rb.LinkReadback] = {}
         for name, entity in self.entities.items():
             called = {
                 link.idx: name if k == 0 else f"{name.partition('.')[0]}.{link.name}"
@@ -71,17 +54,15 @@ class GenesisSession:
             masses = _array(entity.get_links_mass())
             for k, (link, X_WL) in enumerate(zip(entity.links, _poses(entity), strict=True)):
                 com, inertia = _array(entity.get_links_COM([k]))[0], _array(entity.get_links_inertia([k]))[0]
-                held = called.get(link.parent_idx) or (WORLD if link.is_fixed else FREE)
+                held = called.get(link.parent_idx) or (rb.WORLD if link.is_fixed else rb.FREE)
                 turn = Pose.of(q=_array(link.desc.inertial_quat)).rotation
-                links[called[link.idx]] = LinkReadback(
-                    pose_numbers(X_WL), float(masses[k]), numbers(com), numbers(turn @ inertia @ turn.T), held,
+                links[called[link.idx]] = rb.LinkReadback(
+                    rb.pose_numbers(X_WL), float(masses[k]), rb.numbers(com), rb.numbers(turn @ inertia @ turn.T), held,
                     tuple(_collider(geom) for geom in link.geoms),
                 )  # fmt: skip
         joints = {name: _joint(*at) for name, at in self._joints.items()}
-        gravity = numbers(_array(self.scene.sim.rigid_solver.get_gravity()).reshape(-1)[:3])
-        return WorldReadback(
-            links, joints, gravity, actuators=tuple(name for name, joint in joints.items() if joint.drive)
-        )
+        gravity = rb.numbers(_array(self.scene.sim.rigid_solver.get_gravity()).reshape(-1)[:3])
+        return rb.WorldReadback(links, joints, gravity, actuators=rb.driven(joints))
 
     def close(self) -> None:
         """Release the scene."""
@@ -102,7 +83,7 @@ def _position(entity: Any, joint: Any) -> float:
     return float(_array(entity.get_dofs_position(joint.dofs_idx_local))[0])
 
 
-def _joint(entity: Any, joint: Any) -> JointReadback:
+def _joint(entity: Any, joint: Any) -> rb.JointReadback:
     """Return the values of a joint; a motor is reported only if it has a position target; all joints have gains."""
     dofs = joint.dofs_idx_local
     low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
@@ -116,9 +97,9 @@ def _joint(entity: Any, joint: Any) -> JointReadback:
     limit = float(_array(entity.get_dofs_force_range(dofs)[1])[0])
     known = solver.dyn_info.dofs
     motion = known.motion_vel if joint.type == gs.JOINT_TYPE.PRISMATIC else known.motion_ang
-    return JointReadback(
+    return rb.JointReadback(
         type=_TYPES[joint.type],
-        axis=numbers(_array(motion.to_numpy())[index].ravel()),
+        axis=rb.numbers(_array(motion.to_numpy())[index].ravel()),
         limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
         damping=one["damping"],
         friction=one["frictionloss"],
@@ -129,24 +110,24 @@ def _joint(entity: Any, joint: Any) -> JointReadback:
     )
 
 
-def _collider(geom: Any) -> ColliderReadback:
+def _collider(geom: Any) -> rb.ColliderReadback:
     """Return a collision shape; Genesis stores no names, and converts unsupported shapes to meshes."""
     kind, bounds = _shape(geom)
-    return ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
+    return rb.ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
 
 
-def _shape(geom: Any) -> tuple[str, Numbers | None]:
+def _shape(geom: Any) -> tuple[str, rb.Numbers | None]:
     X_LG = Pose.of(_array(geom.init_pos), _array(geom.init_quat))
     data = _array(geom.data)
     match geom.type:
         case gs.GEOM_TYPE.BOX:
-            return "box", shape_bounds("box", data[:3], X_LG)
+            return "box", rb.shape_bounds("box", data[:3], X_LG)
         case gs.GEOM_TYPE.SPHERE:
-            return "sphere", shape_bounds("sphere", data[:1], X_LG)
+            return "sphere", rb.shape_bounds("sphere", data[:1], X_LG)
         case gs.GEOM_TYPE.CYLINDER:
-            return "cylinder", shape_bounds("cylinder", data[:2], X_LG)
+            return "cylinder", rb.shape_bounds("cylinder", data[:2], X_LG)
         case gs.GEOM_TYPE.CAPSULE:
-            return "capsule", shape_bounds("capsule", data[:2], X_LG)
+            return "capsule", rb.shape_bounds("capsule", data[:2], X_LG)
         case gs.GEOM_TYPE.MESH:
-            return "mesh", mesh_bounds(_array(geom.init_verts), X_LG)
+            return "mesh", rb.mesh_bounds(_array(geom.init_verts), X_LG)
     return "other", None

@@ -14,21 +14,7 @@ import numpy as np
 from simfoundry.backends.mjcf.contact_rules import PROXY
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
-from simfoundry.verify.readback import (
-    FREE,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pair_name,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 _contacts = import_file(Path(__file__).with_name("contacts.py"))
 Meetings = _contacts.Meetings
@@ -39,55 +25,47 @@ _KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(
           int(_GEOM.mjGEOM_CAPSULE): "capsule", int(_GEOM.mjGEOM_MESH): "mesh"}  # fmt: skip
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the build in ``folder``, from its loader."""
     return MujocoSession(*loader.load())
 
 
-class MujocoSession:
+class MujocoSession(rb.Session):
     """A MuJoCo model and its data."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self.model, self.data = model, data
+        self.model, self.data, self.timestep = model, data, float(model.opt.timestep)
         self._bodies = {name: k for k in range(1, model.nbody) if PROXY not in (name := model.body(k).name)}
         self._meetings = Meetings(model)
         self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
         joints = {model.joint(k).name: k for k in range(model.njnt)}
         self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
 
-    @property
-    def timestep(self) -> float:
-        """Time step [s] from the file."""
-        return float(self.model.opt.timestep)
-
     def step(self) -> None:
         """One step."""
         mujoco.mj_step(self.model, self.data)
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return a sample after updating the kinematics; otherwise body poses are those before the last step."""
         mujoco.mj_kinematics(self.model, self.data)
         poses = {name: self._pose(k) for name, k in self._roots.items()}
-        return Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
+        return rb.Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return bodies, joints and pair frictions."""
         mujoco.mj_forward(self.model, self.data)
         links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
-        return WorldReadback(
+        return rb.WorldReadback(
             links=links,
             joints={name: self._joint(k) for name, k in self._joints.items()},
-            gravity=numbers(self.model.opt.gravity),
+            gravity=rb.numbers(self.model.opt.gravity),
             pairs=pairs,
             silent=self._silent(),
             actuators=tuple(self.model.actuator(k).name for k in range(self.model.nu)),
         )
 
-    def close(self) -> None:
-        """Do nothing; MuJoCo frees its memory with the objects."""
-
     def _pose(self, body: int) -> tuple[float, ...]:
-        return pose_numbers(Pose.of(self.data.xpos[body], self.data.xquat[body]))
+        return rb.pose_numbers(Pose.of(self.data.xpos[body], self.data.xquat[body]))
 
     def _position(self, joint: int) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
@@ -96,24 +74,24 @@ class MujocoSession:
         """Return the parent of a body; a body in the world is either welded to it or free."""
         parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
         if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
-            return FREE
-        return self.model.body(parent).name if parent else WORLD
+            return rb.FREE
+        return self.model.body(parent).name if parent else rb.WORLD
 
-    def _link(self, name: str, body: int) -> LinkReadback:
+    def _link(self, name: str, body: int) -> rb.LinkReadback:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
         felt = self._felt(body)
         own = [self._meetings.surface(geom) for geom in felt]
-        return LinkReadback(
+        return rb.LinkReadback(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
-            com=numbers(model.body_ipos[body]),
-            inertia=numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
+            com=rb.numbers(model.body_ipos[body]),
+            inertia=rb.numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
             held=self._held(body),
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
         )
 
-    def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> ColliderReadback:
+    def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> rb.ColliderReadback:
         model = self.model
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
@@ -121,28 +99,28 @@ class MujocoSession:
         if kind == "mesh":  # MuJoCo moves a mesh to its inertial frame, and the geom inversely
             mesh = model.geom_dataid[geom]
             start = model.mesh_vertadr[mesh]
-            bounds = mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
+            bounds = rb.mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
         else:
             size = {"box": (x, y, z), "sphere": (x / 2,)}.get(kind, (x / 2, y))
-            bounds = shape_bounds(kind, size, X_LG)
+            bounds = rb.shape_bounds(kind, size, X_LG)
         name = model.geom(geom).name.removeprefix(f"{link}.")
         sliding, spinning, rolling = surface
-        return ColliderReadback(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
+        return rb.ColliderReadback(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
 
-    def _joint(self, joint: int) -> JointReadback:
+    def _joint(self, joint: int) -> rb.JointReadback:
         model, dof = self.model, self.model.jnt_dofadr[joint]
         limited, ball = bool(model.jnt_limited[joint]), model.jnt_type[joint] == _JOINT.mjJNT_BALL
         at = int(model.jnt_qposadr[joint])
         follows, law = self._law(joint)
         drive, effort = self._drive(joint)
-        return JointReadback(
+        return rb.JointReadback(
             type=_TYPES.get(int(model.jnt_type[joint]), "other"),
-            axis=None if ball else numbers(model.jnt_axis[joint]),
-            limits=numbers(model.jnt_range[joint]) if limited else (),
+            axis=None if ball else rb.numbers(model.jnt_axis[joint]),
+            limits=rb.numbers(model.jnt_range[joint]) if limited else (),
             damping=float(np.ravel(model.dof_damping[dof])[0]),
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
-            position=numbers(self.data.qpos[at : at + 4]) if ball else self._position(joint),
+            position=rb.numbers(self.data.qpos[at : at + 4]) if ball else self._position(joint),
             follows=follows,
             law=law,
             drive=drive,
@@ -173,24 +151,24 @@ class MujocoSession:
         """Return the pairs of bodies whose collisions MuJoCo never tests, or whose geoms never collide by its rules."""
         bodies = [body for body in self._bodies.values() if self._meetings.colliders.get(body)]
         apart = [(a, b) for a, b in combinations(bodies, 2) if not self._meetings.touch(a, b)]
-        return tuple(pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
+        return tuple(rb.pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
 
     def _felt(self, body: int) -> list[int]:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
 
-    def _contacts(self, links: Mapping[str, LinkReadback]) -> tuple[dict[str, LinkReadback], dict[str, float]]:
+    def _contacts(self, links: Mapping[str, rb.LinkReadback]) -> tuple[dict[str, rb.LinkReadback], dict[str, float]]:
         """Return the links, and the friction of each colliding pair unless both colliders already have that value.
 
         The spinning and rolling resistance of a collider is that of its contacts, whatever the collider itself states.
         """
         own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
-        pairs, odd = {}, dict[str, ColliderReadback]()
+        pairs, odd = {}, dict[str, rb.ColliderReadback]()
         for a, b, met in self._meetings.contacts():
             if a not in own or b not in own:
                 continue
             one, other = own[a], own[b]
             if one.friction != other.friction or met.friction != one.friction:
-                pairs[pair_name(a, b)] = met.friction
+                pairs[rb.pair_name(a, b)] = met.friction
             for quantity in ("spinning", "rolling"):
                 meant = max(getattr(one, quantity), getattr(other, quantity))
                 if getattr(met, quantity) != meant:
@@ -199,5 +177,5 @@ class MujocoSession:
         return {name: _with(name, link, odd) for name, link in links.items()}, pairs
 
 
-def _with(name: str, link: LinkReadback, odd: Mapping[str, ColliderReadback]) -> LinkReadback:
+def _with(name: str, link: rb.LinkReadback, odd: Mapping[str, rb.ColliderReadback]) -> rb.LinkReadback:
     return replace(link, colliders=tuple(odd.get(f"{name}.{c.name}", c) for c in link.colliders or ())) if odd else link

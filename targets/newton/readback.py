@@ -7,19 +7,19 @@ from pathlib import Path
 from types import ModuleType
 
 from simfoundry.runtime.plugins import import_file
-from simfoundry.verify.readback import Session
+from simfoundry.verify import readback as rb
 
 _session = import_file(Path(__file__).with_name("session.py"))
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the model of ``scene.xml`` in the state of its keyframe."""
     _session.quiet()
     model = loader.load()
     root = ET.parse(folder / "scene.xml").getroot()
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
     names = _session.Names(_last, _collider, lambda label: _joint(label, joints), {})
-    session: Session = _session.NewtonSession(model, names)
+    session: rb.Session = _session.NewtonSession(model, names)
     return session
 
 

@@ -4,29 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import newton
 import numpy as np
 import warp as wp
 
 from simfoundry.geometry.frames import Pose, from_xyzw
-from simfoundry.verify.readback import (
-    FREE,
-    TIMESTEP,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Numbers,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pair_name,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 NO_LIMIT = 1e9
 """Newton's importers write limits beyond this value for joints without limits."""
@@ -37,8 +22,7 @@ _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): 
           int(_Geo.CAPSULE): "capsule", int(_Geo.MESH): "mesh", int(_Geo.CONVEX_MESH): "mesh"}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Names:
+class Names(NamedTuple):
     """The mapping from an importer's labels to the links, colliders and joints of the scene.
 
     ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints that
@@ -54,10 +38,8 @@ class Names:
     own_damping: Mapping[str, float] | None = None
 
 
-class NewtonSession:
+class NewtonSession(rb.Session):
     """A model on the CPU with Newton's MuJoCo solver, the only one of its solvers for articulated scenes."""
-
-    timestep = TIMESTEP
 
     def __init__(self, model: newton.Model, names: Names) -> None:
         self.model, self.names = model, names
@@ -83,31 +65,37 @@ class NewtonSession:
         self._solver.step(self._state, self._next, self._control, None, self.timestep)
         self._state, self._next = self._next, self._state
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the root poses from the bodies, and the joint positions from the generalized coordinates."""
         q = _array(self._state.joint_q)
-        poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
-        return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
+        poses = {n: rb.pose_numbers(p) for n, p in self._poses().items() if "." not in n}
+        return rb.Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return bodies, static links and joints."""
         model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
         mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
-            name: LinkReadback(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
-                            held.get(k), tuple(colliders.get(name, ())))
+            name: rb.LinkReadback(
+                pose=rb.pose_numbers(poses[name]),
+                mass=float(mass[k]),
+                com=rb.numbers(com[k]),
+                inertia=rb.numbers(inertia[k]),
+                held=held.get(k),
+                colliders=tuple(colliders.get(name, ())),
+            )
             for name, k in self._bodies.items()
-        }  # fmt: skip
-        links |= {n: LinkReadback(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
-                  self.names.static.items() if n not in links}  # fmt: skip
+        }
+        static = {name: pose for name, pose in self.names.static.items() if name not in links}
+        for name, pose in static.items():
+            links[name] = rb.LinkReadback(rb.pose_numbers(pose), colliders=tuple(colliders.get(name, ())))
         joints = {name: self._joint(name, k) for name, k in self._joints.items()}
         driven = None
         if self.names.own_damping is not None:
-            driven = tuple(name for name, joint in joints.items() if joint.drive)
-        return WorldReadback(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
-
-    def close(self) -> None:
-        """Do nothing; Newton frees its arrays with the objects."""
+            driven = rb.driven(joints)
+        return rb.WorldReadback(
+            links, joints, rb.numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven
+        )
 
     def _held(self) -> dict[int, str]:
         """Return the parent in the first joint above each body; any other joint closes a loop."""
@@ -115,7 +103,7 @@ class NewtonSession:
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
         for kind, parent, child in ends:
-            holder = FREE if kind == int(_Joint.FREE) else names[int(parent)] if parent >= 0 else WORLD
+            holder = rb.FREE if kind == int(_Joint.FREE) else names[int(parent)] if parent >= 0 else rb.WORLD
             found.setdefault(int(child), holder)
         return found
 
@@ -136,19 +124,19 @@ class NewtonSession:
             one, other = sorted((felt.get(int(a), -1), felt.get(int(b), -1)))
             if one >= 0 and one != other:
                 filtered[one, other] += 1
-        return tuple(pair_name(names[a], names[b]) for (a, b), n in filtered.items() if n == counts[a] * counts[b])
+        return tuple(rb.pair_name(names[a], names[b]) for (a, b), n in filtered.items() if n == counts[a] * counts[b])
 
     def _poses(self) -> dict[str, Pose]:
         body_q = _array(self._state.body_q)
         return dict(self.names.static) | {name: _pose(body_q[k]) for name, k in self._bodies.items()}
 
-    def _colliders(self) -> dict[str, list[ColliderReadback]]:
+    def _colliders(self) -> dict[str, list[rb.ColliderReadback]]:
         model = self.model
         flags, kinds, owners = model.shape_flags.numpy(), model.shape_type.numpy(), model.shape_body.numpy()
         transforms, scales = model.shape_transform.numpy(), model.shape_scale.numpy()
         mu, restitution = model.shape_material_mu.numpy(), model.shape_material_restitution.numpy()
         spinning, rolling = model.shape_material_mu_torsional.numpy(), model.shape_material_mu_rolling.numpy()
-        found: dict[str, list[ColliderReadback]] = {}
+        found: dict[str, list[rb.ColliderReadback]] = {}
         for k, label in enumerate(model.shape_label):
             named = self.names.collider(label)
             if named is None or not flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES):
@@ -161,17 +149,17 @@ class NewtonSession:
             bounds = self._bounds(k, kind, scales[k], X_LG)
             told = self.names.own_damping is not None
             resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
-            facts = ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
+            facts = rb.ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
             found.setdefault(link, []).append(facts)
         return found
 
-    def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:
+    def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> rb.Numbers:
         if kind == "mesh":
-            return mesh_bounds(np.asarray(self.model.shape_source[shape].vertices) * scale, X_LG)
+            return rb.mesh_bounds(np.asarray(self.model.shape_source[shape].vertices) * scale, X_LG)
         size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
-        return shape_bounds(kind, size, X_LG)
+        return rb.shape_bounds(kind, size, X_LG)
 
-    def _joint(self, name: str, joint: int) -> JointReadback:
+    def _joint(self, name: str, joint: int) -> rb.JointReadback:
         """Return the values of a joint; MJCF damping is passive, whereas USD has one damping for joint and drive."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
@@ -179,18 +167,18 @@ class NewtonSession:
         start, ball = int(self._q_start[joint]), self._kinds[joint] == int(_Joint.BALL)
         damping = float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof])
         own = (self.names.own_damping or {}).get(name)
-        drive: Numbers | None = None if self.names.own_damping is None else ()
+        drive: rb.Numbers | None = None if self.names.own_damping is None else ()
         if own is not None:
             stiffness, target = model.joint_target_ke.numpy()[dof], model.joint_target_q.numpy()[start]
             damping, drive = own, (float(stiffness), damping - own, float(target))
-        return JointReadback(
+        return rb.JointReadback(
             type=_TYPES[self._kinds[joint]],
-            axis=None if ball else numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
+            axis=None if ball else rb.numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
             limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),
             damping=damping,
             friction=float(model.joint_friction.numpy()[dof]),
             armature=float(model.joint_armature.numpy()[dof]),
-            position=numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
+            position=rb.numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
             if ball
             else float(model.joint_q.numpy()[start]),
             drive=drive,

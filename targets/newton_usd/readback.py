@@ -11,17 +11,17 @@ from pxr import Usd, UsdGeom
 
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
-from simfoundry.verify.readback import Session
+from simfoundry.verify import readback as rb
 
 _newton = import_file(Path(__file__).parents[1] / "newton" / "session.py")
 _usd = import_file(Path(__file__).parents[1] / "usd" / "readback.py")
 """The session of the `newton` target, with the stage's names of links and joints."""
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session with the surfaces' own coefficients, because Newton does not support combine modes."""
     _newton.quiet()
-    session: Session = _newton.NewtonSession(loader.load(), _names(loader.open_stage()))
+    session: rb.Session = _newton.NewtonSession(loader.load(), _names(loader.open_stage()))
     return session
 
 

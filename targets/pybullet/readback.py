@@ -12,20 +12,7 @@ import numpy as np
 import pybullet
 
 from simfoundry.geometry.frames import Pose, from_xyzw
-from simfoundry.verify.readback import (
-    FREE,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 BASE = -1
 """PyBullet's index of the root link; any other link has the index of its parent joint."""
@@ -39,20 +26,21 @@ _KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEO
           pybullet.GEOM_CAPSULE: "capsule", pybullet.GEOM_MESH: "mesh"}  # fmt: skip
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the build in ``folder``, from its loader."""
     client = pybullet.connect(pybullet.DIRECT)
     bodies = loader.load(client)
     world = json.loads((folder / "world.json").read_text(encoding="utf-8"))
-    return PybulletSession(client, bodies, numbers(world["gravity"]), list(world.get("robots", ())))
+    return PybulletSession(client, bodies, rb.numbers(world["gravity"]), list(world.get("robots", ())))
 
 
-class PybulletSession:
+class PybulletSession(rb.Session):
     """A client and its bodies by object name; ``robots`` are the bodies that are not objects."""
 
     def __init__(self, client: int, bodies: dict[str, int], gravity: tuple[float, ...], robots: list[str]) -> None:
         self.client, self.bodies = client, bodies
         self._gravity, self._robots = gravity, robots
+        self.timestep = float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
         self._links: dict[str, tuple[int, int]] = {}
         self._joints: dict[str, tuple[int, int]] = {}
         for name, body in bodies.items():
@@ -67,27 +55,22 @@ class PybulletSession:
     def _call(self, function: str, *args: object, **options: object) -> Any:
         return getattr(pybullet, function)(*args, physicsClientId=self.client, **options)
 
-    @property
-    def timestep(self) -> float:
-        """Time step [s] of the build."""
-        return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
-
     def step(self) -> None:
         """One step."""
         self._call("stepSimulation")
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the base poses and the joint positions."""
-        poses = {name: pose_numbers(self._pose(body, BASE)) for name, body in self.bodies.items()}
+        poses = {name: rb.pose_numbers(self._pose(body, BASE)) for name, body in self.bodies.items()}
         single = {name: at for name, at in self._joints.items() if self._call("getJointInfo", *at)[3] >= 0}
         joints = {name: float(self._call("getJointState", *at)[0]) for name, at in single.items()}
-        return Moment(time, poses, joints)
+        return rb.Moment(time, poses, joints)
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return links and joints. PyBullet does not report gravity, so it is taken from ``world.json``."""
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
-        return WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
+        return rb.WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
 
     def close(self) -> None:
         """Disconnect."""
@@ -108,7 +91,7 @@ class PybulletSession:
     def _held(self, body: int, index: int) -> str:
         """Return the parent of a link; Bullet gives a static base no mass."""
         if index == BASE:
-            return FREE if self._call("getDynamicsInfo", body, BASE)[0] else WORLD
+            return rb.FREE if self._call("getDynamicsInfo", body, BASE)[0] else rb.WORLD
         parent = int(self._call("getJointInfo", body, index)[16])
         return next(name for name, at in self._links.items() if at == (body, parent))
 
@@ -124,43 +107,43 @@ class PybulletSession:
             p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
         return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
 
-    def _link(self, body: int, index: int) -> LinkReadback:
+    def _link(self, body: int, index: int) -> rb.LinkReadback:
         """Return the values of a link; a root welded to the world has no mass in Bullet."""
         info = self._call("getDynamicsInfo", body, index)
         mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
         X_LI = self._inertial(body, index)
         shapes = self._call("getCollisionShapeData", body, index)
         surface = (friction**2, restitution**2)
-        return LinkReadback(
-            pose=pose_numbers(self._pose(body, index)),
+        return rb.LinkReadback(
+            pose=rb.pose_numbers(self._pose(body, index)),
             mass=mass or None,
-            com=numbers(X_LI.p),
-            inertia=numbers(X_LI.rotation @ np.diag(moments) @ X_LI.rotation.T) if mass else None,
+            com=rb.numbers(X_LI.p),
+            inertia=rb.numbers(X_LI.rotation @ np.diag(moments) @ X_LI.rotation.T) if mass else None,
             held=self._held(body, index),
             colliders=tuple(self._collider(shape, X_LI, surface, k, len(shapes)) for k, shape in enumerate(shapes)),
         )
 
     def _collider(
         self, shape: tuple[Any, ...], X_LI: Pose, surface: tuple[float, float], index: int, count: int
-    ) -> ColliderReadback:
+    ) -> rb.ColliderReadback:
         kind = _KINDS.get(shape[2], "other")
         X_LG = X_LI @ Pose.of(shape[5], from_xyzw(shape[6]))
         x, y, z = shape[3]
         if kind == "mesh":
             # Bullet returns the vertices of only one shape per link, for any requested shape, in the inertial frame.
             vertices = self._call("getMeshData", shape[0], shape[1])[1] if count == 1 and index == 0 else ()
-            bounds = mesh_bounds(np.array(vertices), X_LI) if vertices else None
+            bounds = rb.mesh_bounds(np.array(vertices), X_LI) if vertices else None
         else:
             size = {"box": (x, y, z), "sphere": (x,)}.get(kind, (y, x))
-            bounds = shape_bounds(kind, size, X_LG)
-        return ColliderReadback(None, kind, bounds, *surface)
+            bounds = rb.shape_bounds(kind, size, X_LG)
+        return rb.ColliderReadback(None, kind, bounds, *surface)
 
-    def _joint(self, body: int, index: int) -> JointReadback:
+    def _joint(self, body: int, index: int) -> rb.JointReadback:
         info = self._call("getJointInfo", body, index)
         low, high, ball = float(info[8]), float(info[9]), info[2] == pybullet.JOINT_SPHERICAL
-        return JointReadback(
+        return rb.JointReadback(
             type=_TYPES.get(info[2], "other"),
-            axis=None if ball else numbers(self._inertial(body, index).rotation @ np.array(info[13])),
+            axis=None if ball else rb.numbers(self._inertial(body, index).rotation @ np.array(info[13])),
             limits=(low, high) if low <= high and not ball else (),
             damping=float(info[6]),
             friction=float(info[7]),
@@ -169,4 +152,4 @@ class PybulletSession:
 
     def _turned(self, body: int, index: int) -> tuple[float, ...]:
         """Return the quaternion of a ball joint, which Bullet gives with w last."""
-        return numbers(from_xyzw(self._call("getJointStateMultiDof", body, index)[0]))
+        return rb.numbers(from_xyzw(self._call("getJointStateMultiDof", body, index)[0]))

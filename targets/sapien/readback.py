@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sapien
 from sapien import physx
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.verify.readback import (
-    FREE,
-    TIMESTEP,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Numbers,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 _TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
 _ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
@@ -41,15 +25,14 @@ _SINGLE = 1e-6
 """Two single-precision values that differ by less than this are equal."""
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the scene from the loader."""
     scene, world = loader.load()
     files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
     return SapienSession(scene, world, BuildNames(_collider_names(folder), _own_damping(files), loader.HOLD))
 
 
-@dataclass(frozen=True)
-class BuildNames:
+class BuildNames(NamedTuple):
     """The data of a build that SAPIEN does not report.
 
     ``colliders`` are the shape names in file order, by object and link. ``damping`` is that of the joints themselves,
@@ -80,10 +63,8 @@ def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
     }
 
 
-class SapienSession:
+class SapienSession(rb.Session):
     """A SAPIEN scene with its articulations and single bodies."""
-
-    timestep = TIMESTEP
 
     def __init__(self, scene: sapien.Scene, world: dict[str, Any], told: BuildNames) -> None:
         self.scene, self.world, self.told = scene, world, told
@@ -103,24 +84,21 @@ class SapienSession:
         """One step."""
         self.scene.step()
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the poses of the root links and the positions of the joints."""
-        return Moment(time, {name: pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
+        return rb.Moment(time, {name: rb.pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
                       self._positions())  # fmt: skip
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return links, joints and gravity."""
         positions = self._positions()
         joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
-        return WorldReadback(
+        return rb.WorldReadback(
             links={name: self._link(name, link) for name, link in self._links.items()},
             joints=joints,
-            gravity=numbers(self.scene.physx_system.config.gravity),
-            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+            gravity=rb.numbers(self.scene.physx_system.config.gravity),
+            actuators=rb.driven(joints),
         )
-
-    def close(self) -> None:
-        """Do nothing; SAPIEN frees the scene with the object."""
 
     def _positions(self) -> dict[str, float]:
         return {
@@ -130,29 +108,29 @@ class SapienSession:
             for joint, position in zip(item.active_joints, item.qpos, strict=True)
         }
 
-    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkReadback:
+    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> rb.LinkReadback:
         """Return the values of a link; a static body has no mass in PhysX."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
         told = names if names is not None else [None] * len(shapes)  # a robot's own file may split its meshes
         colliders = tuple(_collider(n, s) for n, s in zip(told, shapes, strict=True))
-        pose = pose_numbers(_pose(link.entity_pose))
+        pose = rb.pose_numbers(_pose(link.entity_pose))
         if not hasattr(link, "mass"):
-            return LinkReadback(pose=pose, held=self._held(name, link), colliders=colliders)
+            return rb.LinkReadback(pose=pose, held=self._held(name, link), colliders=colliders)
         X_LI = _pose(link.cmass_local_pose)
         inertia = X_LI.rotation @ np.diag(np.asarray(link.inertia, dtype=np.float64)) @ X_LI.rotation.T
-        return LinkReadback(
-            pose, float(link.mass), numbers(X_LI.p), numbers(inertia), self._held(name, link), colliders
+        return rb.LinkReadback(
+            pose, float(link.mass), rb.numbers(X_LI.p), rb.numbers(inertia), self._held(name, link), colliders
         )
 
     def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
         """Return the parent of a link; for the root of an articulation, SAPIEN does not report it."""
         if isinstance(link, physx.PhysxArticulationLinkComponent):
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
-        return FREE if hasattr(link, "mass") else WORLD
+        return rb.FREE if hasattr(link, "mass") else rb.WORLD
 
-    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointReadback:
+    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> rb.JointReadback:
         """Return the values of a joint; its gains show if PhysX's one drive is a motor, damping or Coulomb friction."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
@@ -160,9 +138,9 @@ class SapienSession:
         own = self.told.damping.get(name, 0.0)
         drive = stiffness > 0 or (not holds and damping > own * (1 + _SINGLE) + _SINGLE)
         limit = float(joint.force_limit)
-        return JointReadback(
+        return rb.JointReadback(
             type=_TYPES.get(joint.type, "other"),
-            axis=numbers(_pose(joint.pose_in_child).rotation[:, 0]),
+            axis=rb.numbers(_pose(joint.pose_in_child).rotation[:, 0]),
             limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
             damping=own if drive else 0.0 if holds else damping,
             friction=limit if holds else 0.0,
@@ -173,24 +151,24 @@ class SapienSession:
         )
 
 
-def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderReadback:
+def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> rb.ColliderReadback:
     kind, bounds = _shape(shape)
     material = shape.physical_material
-    return ColliderReadback(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
+    return rb.ColliderReadback(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
 
 
-def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, Numbers | None]:
+def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, rb.Numbers | None]:
     X_LG = _pose(shape.local_pose)
     match shape:
         case physx.PhysxCollisionShapeBox():
-            return "box", shape_bounds("box", 2 * np.asarray(shape.half_size), X_LG)
+            return "box", rb.shape_bounds("box", 2 * np.asarray(shape.half_size), X_LG)
         case physx.PhysxCollisionShapeSphere():
-            return "sphere", shape_bounds("sphere", [shape.radius], X_LG)
+            return "sphere", rb.shape_bounds("sphere", [shape.radius], X_LG)
         case physx.PhysxCollisionShapeCylinder() | physx.PhysxCollisionShapeCapsule():
             kind = "cylinder" if isinstance(shape, physx.PhysxCollisionShapeCylinder) else "capsule"
-            return kind, shape_bounds(kind, [shape.radius, 2 * shape.half_length], X_LG @ _ALONG_X.inverse())
+            return kind, rb.shape_bounds(kind, [shape.radius, 2 * shape.half_length], X_LG @ _ALONG_X.inverse())
         case physx.PhysxCollisionShapeConvexMesh():
-            return "mesh", mesh_bounds(np.asarray(shape.vertices) * np.asarray(shape.scale), X_LG)
+            return "mesh", rb.mesh_bounds(np.asarray(shape.vertices) * np.asarray(shape.scale), X_LG)
     return "other", None
 
 

@@ -10,33 +10,19 @@ import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from simfoundry.geometry.frames import Pose
-from simfoundry.verify.readback import (
-    FREE,
-    WORLD,
-    ColliderReadback,
-    JointReadback,
-    LinkReadback,
-    Moment,
-    Session,
-    WorldReadback,
-    mesh_bounds,
-    numbers,
-    pair_name,
-    pose_numbers,
-    shape_bounds,
-)
+from simfoundry.verify import readback as rb
 
 _SCOPES = ("/World/Objects", "/World/Robots")
 _TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
 _KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
 
 
-def open_build(folder: Path, loader: ModuleType) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> rb.Session:
     """Return a session for the stage of the build in ``folder``."""
     return UsdSession(loader.load())
 
 
-class UsdSession:
+class UsdSession(rb.Session):
     """A stage, which cannot be stepped."""
 
     timestep = 0.0
@@ -49,30 +35,28 @@ class UsdSession:
         """Raise NotImplementedError, because a stage has no dynamics."""
         raise NotImplementedError("a USD stage has no dynamics and cannot be stepped")
 
-    def moment(self, time: float) -> Moment:
+    def moment(self, time: float) -> rb.Moment:
         """Return the authored poses and joint positions."""
-        poses = {prim.GetName(): pose_numbers(self._pose(prim)) for prim in self._objects()}
-        return Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
+        poses = {prim.GetName(): rb.pose_numbers(self._pose(prim)) for prim in self._objects()}
+        return rb.Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
 
-    def read(self) -> WorldReadback:
+    def read(self) -> rb.WorldReadback:
         """Return links, joints, and the gravity of the physics scene."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
         held = self._held()
         joints = {name: self._joint(name, prim) for name, prim in self._joints().items()}
         own = {
-            name: LinkReadback(pose=pose_numbers(self._pose(prim))) for name, prim in _references(self.stage).items()
+            name: rb.LinkReadback(pose=rb.pose_numbers(self._pose(prim)))
+            for name, prim in _references(self.stage).items()
         }
-        return WorldReadback(
+        return rb.WorldReadback(
             links={name: self._link(prim, held[name]) for name, prim in links(self.stage).items()} | own,
             joints=joints,
-            gravity=numbers(direction * physics.GetGravityMagnitudeAttr().Get()),
+            gravity=rb.numbers(direction * physics.GetGravityMagnitudeAttr().Get()),
             silent=self._silent(),
-            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+            actuators=rb.driven(joints),
         )
-
-    def close(self) -> None:
-        """Do nothing; USD frees the stage with the object."""
 
     def _objects(self) -> list[Usd.Prim]:
         return _items(self.stage)
@@ -103,9 +87,9 @@ class UsdSession:
                     r.GetTargets() for r in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())
                 ]
                 if ends[1] and ends[1][0] in names:
-                    found[names[ends[1][0]]] = names.get(ends[0][0], WORLD) if ends[0] else WORLD
+                    found[names[ends[1][0]]] = names.get(ends[0][0], rb.WORLD) if ends[0] else rb.WORLD
         for name, prim in links(self.stage).items():
-            free = FREE if prim.HasAPI(UsdPhysics.RigidBodyAPI) else None if "." in name else WORLD
+            free = rb.FREE if prim.HasAPI(UsdPhysics.RigidBodyAPI) else None if "." in name else rb.WORLD
             found.setdefault(name, free)
         return found
 
@@ -116,25 +100,25 @@ class UsdSession:
         for path, name in names.items():
             pairs = UsdPhysics.FilteredPairsAPI(self.stage.GetPrimAtPath(path)).GetFilteredPairsRel()
             for target in pairs.GetTargets() if pairs else []:
-                found.add(pair_name(name, names[str(target).partition("/Colliders/")[0]]))
+                found.add(rb.pair_name(name, names[str(target).partition("/Colliders/")[0]]))
         return tuple(sorted(found))
 
-    def _link(self, prim: Usd.Prim, held: str | None) -> LinkReadback:
+    def _link(self, prim: Usd.Prim, held: str | None) -> rb.LinkReadback:
         mass = UsdPhysics.MassAPI(prim)
         axes = Pose.of(q=_wxyz(mass.GetPrincipalAxesAttr().Get())).rotation
         moments = np.array(mass.GetDiagonalInertiaAttr().Get(), dtype=np.float64)
         scope = prim.GetChild("Colliders")
         X_LW = self._pose(prim).inverse()
-        return LinkReadback(
-            pose=pose_numbers(self._pose(prim)),
+        return rb.LinkReadback(
+            pose=rb.pose_numbers(self._pose(prim)),
             mass=float(mass.GetMassAttr().Get()),
-            com=numbers(mass.GetCenterOfMassAttr().Get()),
-            inertia=numbers(axes @ np.diag(moments) @ axes.T),
+            com=rb.numbers(mass.GetCenterOfMassAttr().Get()),
+            inertia=rb.numbers(axes @ np.diag(moments) @ axes.T),
             held=held,
             colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
         )
 
-    def _collider(self, prim: Usd.Prim, X_LW: Pose) -> ColliderReadback:
+    def _collider(self, prim: Usd.Prim, X_LW: Pose) -> rb.ColliderReadback:
         kind = _KINDS.get(str(prim.GetTypeName()), "other")
         # Gf stores the scale of a box separately from its rotation.
         transform = Gf.Transform(self._cache.GetLocalToWorldTransform(prim))
@@ -143,16 +127,16 @@ class UsdSession:
         match kind:
             case "box":
                 side = float(prim.GetAttribute("size").Get())
-                bounds = shape_bounds(kind, [side * s for s in transform.GetScale()], X_LG)
+                bounds = rb.shape_bounds(kind, [side * s for s in transform.GetScale()], X_LG)
             case "mesh":
-                bounds = mesh_bounds(np.array(prim.GetAttribute("points").Get()), X_LG)
+                bounds = rb.mesh_bounds(np.array(prim.GetAttribute("points").Get()), X_LG)
             case "sphere":
-                bounds = shape_bounds(kind, [prim.GetAttribute("radius").Get()], X_LG)
+                bounds = rb.shape_bounds(kind, [prim.GetAttribute("radius").Get()], X_LG)
             case _:
-                bounds = shape_bounds(kind, [prim.GetAttribute(n).Get() for n in ("radius", "height")], X_LG)
+                bounds = rb.shape_bounds(kind, [prim.GetAttribute(n).Get() for n in ("radius", "height")], X_LG)
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         surface = UsdPhysics.MaterialAPI(material)
-        return ColliderReadback(
+        return rb.ColliderReadback(
             name=prim.GetName(),
             kind=kind,
             bounds=bounds,
@@ -162,7 +146,7 @@ class UsdSession:
             rolling=_number(material.GetPrim(), "newton:rollingFriction"),
         )
 
-    def _joint(self, name: str, prim: Usd.Prim) -> JointReadback:
+    def _joint(self, name: str, prim: Usd.Prim) -> rb.JointReadback:
         """Return the values of a joint: as authored for a single axis, and from the body poses for a ball joint."""
         if prim.GetTypeName() != "PhysicsSphericalJoint":
             return _joint(name, prim)
@@ -171,13 +155,13 @@ class UsdSession:
         X_WP, X_WC = (self._pose(self.stage.GetPrimAtPath(path)) for path in (parent, child))
         X_PJ, X_CJ = (Pose.of(q=_wxyz(a.Get())) for a in (ball.GetLocalRot0Attr(), ball.GetLocalRot1Attr()))
         turned = (X_WP @ X_PJ).inverse() @ X_WC @ X_CJ
-        return JointReadback(
+        return rb.JointReadback(
             type="ball",
             limits=(),
             damping=_number(prim, "newton:damping") / math.radians(1.0),
             friction=_number(prim, "newton:friction"),
             armature=_number(prim, "newton:armature"),
-            position=numbers(turned.q),
+            position=rb.numbers(turned.q),
             follows="",
             law=(),
             drive=(),
@@ -212,10 +196,10 @@ def _own(material: UsdShade.Material, name: str, value: float) -> float:
     return value * value if mode == "multiply" else value
 
 
-def _joint(name: str, prim: Usd.Prim) -> JointReadback:
+def _joint(name: str, prim: Usd.Prim) -> rb.JointReadback:
     kind = _TYPES.get(str(prim.GetTypeName()), "other")
     if kind not in ("prismatic", "revolute"):
-        return JointReadback(type=kind)
+        return rb.JointReadback(type=kind)
     instance, unit = ("linear", 1.0) if kind == "prismatic" else ("angular", math.radians(1.0))
     typed = UsdPhysics.PrismaticJoint(prim) if kind == "prismatic" else UsdPhysics.RevoluteJoint(prim)
     lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
@@ -227,9 +211,9 @@ def _joint(name: str, prim: Usd.Prim) -> JointReadback:
     limit = float(drive.GetMaxForceAttr().Get()) if driven else math.inf
     unit_axis = np.eye(3)["XYZ".index(str(typed.GetAxisAttr().Get()))]
     follows, law = _law(name, prim)
-    return JointReadback(
+    return rb.JointReadback(
         type=kind,
-        axis=numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
+        axis=rb.numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
         limits=(lower, upper) if math.isfinite(lower) and math.isfinite(upper) else (),
         damping=own if driven else damping,
         friction=_number(prim, f"physxJointAxis:{instance}:dynamicFrictionEffort"),

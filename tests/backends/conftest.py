@@ -8,11 +8,17 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from simfoundry.backends import compile_scene
+from simfoundry.backends.usd import compile_usd
 from simfoundry.scene.model import Scene
+from tests.backends.usd_stages import SCENES, open_stage
+
+if TYPE_CHECKING:
+    from pxr import Usd
 
 ROOT = Path(__file__).parents[2]
 DIGEST = """
@@ -52,3 +58,28 @@ def manifest_elsewhere() -> Callable[[str], str]:
         ).stdout
 
     return run
+
+
+@pytest.fixture(scope="session")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Each scene compiled and written once."""
+    base = tmp_path_factory.mktemp("usd")
+    for name, scene in SCENES.items():
+        compile_usd(scene).write(base / name)
+    return {name: base / name for name in SCENES}
+
+
+@pytest.fixture(params=sorted(SCENES))
+def compiled(request: pytest.FixtureRequest, folders: dict[str, Path]) -> tuple[Scene, Usd.Stage]:
+    name: str = request.param
+    return SCENES[name], open_stage(folders[name])
+
+
+@pytest.fixture
+def full(folders: dict[str, Path]) -> tuple[Scene, Usd.Stage]:
+    return SCENES["full"], open_stage(folders["full"])
+
+
+@pytest.fixture
+def mechanical(folders: dict[str, Path]) -> tuple[Scene, Usd.Stage]:
+    return SCENES["mechanisms"], open_stage(folders["mechanisms"])

@@ -205,7 +205,7 @@ def test_native_contacts_have_no_pairs_and_say_what_that_costs() -> None:
     artifact = compile_mjcf(scene, contacts="native")
     assert "contacts.xml" not in artifact.files and b"include" not in artifact.files["scene.xml"]
     (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
-    assert loss.reason == "MuJoCo uses the larger friction of a pair: 0.7 for 0.3 and 0.7, where the scene has 0.458."
+    assert loss.reason == "MuJoCo takes the larger of a pair: 0.7 for 0.3 and 0.7; the scene specifies 0.458."
     assert loss.size == Size(0.242, "1")
     with pytest.raises(InvalidSceneError, match="the option `contacts` must be `exact` or `native`, not `both`"):
         compile_mjcf(scene, contacts="both")

@@ -11,7 +11,6 @@ import pytest
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.synthesize import (
     ACTIVE_STEREO,
-    IDEAL,
     SensorModel,
     simulate_color,
     simulate_depth,
@@ -24,7 +23,7 @@ from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.scene.model import Camera, Scene
 from tests.tabletop import box, front_camera, one, pose, rgba, tabletop
 
-QUIET = IDEAL
+QUIET = SensorModel(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.075, math.inf, 0, 90.0, 0.0, 0.0, math.inf)
 
 
 def wall(distance: float, tilt: float = 0.0) -> Raycast:
@@ -60,7 +59,7 @@ def test_depth_comes_in_steps_of_disparity() -> None:
 
 def test_an_ideal_sensor_returns_the_depth_as_it_is() -> None:
     ray = raycast(tabletop(), front_camera(160, 120))
-    np.testing.assert_array_equal(simulate_depth(ray, np.random.default_rng(0), IDEAL), ray.depth)
+    np.testing.assert_array_equal(simulate_depth(ray, np.random.default_rng(0), QUIET), ray.depth)
     np.testing.assert_array_equal(simulate_color(ray, np.random.default_rng(0), 0.0, 0.0), ray.color)
 
 
@@ -144,19 +143,20 @@ def test_files_hold_the_frame_and_the_same_bytes_each_time(tmp_path: Path) -> No
     frame = simulate_frame(raycast(tabletop(), front_camera(160, 120)), np.random.default_rng(4), ACTIVE_STEREO)
     facts = write_capture(tmp_path / "a", frame)
     write_capture(tmp_path / "b", frame)
-    assert facts.instances == "instances.png"
-    for name in (facts.color, facts.depth, facts.instances):
+    assert facts.masks is not None and facts.masks.image == "instances.png"
+    for name in (facts.color, facts.depth.image, facts.masks.image):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     with Image.open(tmp_path / "a" / facts.color) as picture:
         assert picture.mode == "RGB"
         np.testing.assert_array_equal(np.asarray(picture), frame.color)
-    with Image.open(tmp_path / "a" / facts.depth) as picture:
+    with Image.open(tmp_path / "a" / facts.depth.image) as picture:
         counts = np.asarray(picture).astype(np.float64)
     np.testing.assert_array_equal(counts == 0, np.isnan(frame.depth))
-    np.testing.assert_allclose(np.where(counts == 0, np.nan, counts * facts.depth_scale), frame.depth, atol=0.51e-4)
-    with Image.open(tmp_path / "a" / facts.instances) as picture:
+    np.testing.assert_allclose(np.where(counts == 0, np.nan, counts * facts.depth.scale), frame.depth, atol=0.51e-4)
+    with Image.open(tmp_path / "a" / facts.masks.image) as picture:
         np.testing.assert_array_equal(np.asarray(picture), frame.instances)
-    np.testing.assert_array_equal(facts.K, frame.K)
+    camera = facts.camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == tuple(frame.K[[0, 1, 0, 1], [0, 1, 2, 2]])
 
 
 def test_depth_that_does_not_fit_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
@@ -168,4 +168,4 @@ def test_depth_that_does_not_fit_is_refused_and_nothing_is_written(tmp_path: Pat
     ):
         write_capture(tmp_path / "c", frame)
     assert not (tmp_path / "c").exists()
-    assert write_capture(tmp_path / "c", frame, depth_scale=1e-3).instances is None
+    assert write_capture(tmp_path / "c", frame, depth_scale=1e-3).masks is None

@@ -23,7 +23,7 @@ from simfoundry.spec.models.place import Place
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
 from simfoundry.worlds import open_world
-from simfoundry.worlds.footing import is_ball
+from simfoundry.worlds.rest import is_ball
 from simfoundry.worlds.settle import SettleResult, settle
 from tests.specs.documents import SCENES, TASKS, lowered, name_of, task_at
 

@@ -21,15 +21,16 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.verify import tables
 from simfoundry.verify.behaviors import BEHAVIORS
 from simfoundry.verify.engines import VerifyEngine, all_engines, find_installed, interpreters
-from simfoundry.verify.rest import RestResult, settle_subjects
 from simfoundry.verify.run import (
     BehaviorResult,
     ProofStatus,
     ReadbackResult,
+    RestResult,
     SceneBuilds,
     built,
     measure_behaviors,
     read_subjects,
+    settle_subjects,
 )
 from tests.specs.documents import SCENES
 from tests.targets.everything import write_everything

@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
 from simfoundry.spec.models.robot_file import OWN_ROBOTS
-from simfoundry.worlds.mounted import camera_now
+from simfoundry.worlds.base import camera_now
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY
 from tests.robots.reach import Reach, grasp_and_lift, move

@@ -13,10 +13,9 @@ from simfoundry.backends.names import InvalidSceneError
 from simfoundry.errors import OutputError
 from simfoundry.scene.model import Scene
 from simfoundry.targets import build as module
-from simfoundry.targets.build import TARGETS, TargetsError, build
+from simfoundry.targets.build import TARGETS, TargetsError, build, report
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target
-from simfoundry.targets.report import report
 from tests.cli.command import run
 from tests.scenes import full_scene
 

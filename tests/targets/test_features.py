@@ -15,10 +15,10 @@ from simfoundry.backends.features import FEATURES, Fidelity, Loss, approximate, 
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
+from simfoundry.targets.build import report, table
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import find_target, target_names
-from simfoundry.targets.report import report, table
-from simfoundry.targets.support import cells_of
+from simfoundry.targets.generated import cells_of
 from tests.scenes import all_scenes, full_scene
 from tests.targets.everything import LIGHTS, write_everything
 
@@ -185,6 +185,6 @@ def test_a_robot_that_is_there_is_told_from_one_that_is_not(
 
 
 def test_the_page_is_what_the_tables_say() -> None:
-    from simfoundry.targets.support import PAGE, support_page
+    from simfoundry.targets.generated import PAGE, support_page
 
     assert (Path(__file__).resolve().parents[2] / PAGE).read_text() == support_page()

@@ -17,8 +17,7 @@ import pytest
 from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.targets.combine import RULES
-from simfoundry.targets.compile import compile_target
+from simfoundry.targets.compile import RULES, compile_target
 from simfoundry.targets.find import UnknownTargetError, find_target, read_profile, target_names
 from tests.cli.command import run
 from tests.mechanisms import pendulum

@@ -14,8 +14,7 @@ from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.verify.readback import Moment, pose_numbers
-from simfoundry.verify.rest import judge_rest, settle_subjects
-from simfoundry.verify.run import ProofStatus, SceneBuilds, built
+from simfoundry.verify.run import ProofStatus, SceneBuilds, built, judge_rest, settle_subjects
 from tests.scenes import box, full_scene, pose, scene_of, solid
 
 

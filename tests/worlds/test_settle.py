@@ -18,8 +18,8 @@ from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.worlds import World, open_world, world_names
 from simfoundry.worlds.base import Contact
-from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.rest import supporters
 from simfoundry.worlds.settle import ObjectSettle, SettleResult, settle
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

@@ -10,8 +10,7 @@ import pytest
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.render.offscreen import MujocoRenderer, coarsened
 from simfoundry.scene.model import Camera
-from simfoundry.worlds.base import Image, World
-from simfoundry.worlds.mounted import camera_of, resized
+from simfoundry.worlds.base import Image, World, camera_of, resized
 from simfoundry.worlds.mujoco_world import SMALL, MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.evaluate.benches import write_bench

@@ -85,9 +85,11 @@ class UnlikeGroup(NamedTuple):
     contact: ContactSurface
 
 
-Groups = Mapping[ContactSurface, Sequence[ContactGeom]]
 Excluded = frozenset[frozenset[str]]
 """Pairs of bodies that do not collide."""
+
+Bits = Mapping[ContactSurface, int]
+"""The mask bit of each surface of a moving geom."""
 
 
 def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
@@ -105,9 +107,8 @@ def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
 def is_native(a: ContactSurface, b: ContactSurface) -> bool:
     """Return true if MuJoCo's own rule gives the desired contact from the values of the two geoms."""
     contact = desired_contact(a, b)
-    if format_number(max(a.friction, b.friction)) != format_number(contact.friction):
-        return False
-    return solref(a.restitution) == solref(b.restitution) == solref(contact.restitution)
+    slides = format_number(max(a.friction, b.friction)) == format_number(contact.friction)
+    return slides and solref(a.restitution) == solref(b.restitution) == solref(contact.restitution)
 
 
 def format_number(value: float) -> str:
@@ -153,7 +154,7 @@ def contact_dimensions(surface: ContactSurface) -> int:
 
 def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
     """Return the groups of geoms that MuJoCo combines incorrectly: groups with static geoms first, then by size."""
-    moving, static = by_surface(geoms, static=False), by_surface(geoms, static=True)
+    moving, static = (by_surface(geoms, static) for static in (False, True))
     found = [(static[a], moving[b]) for a, b in product(static, moving) if not is_native(a, b)]
     found += [(moving[a], moving[b]) for a, b in combinations(moving, 2) if not is_native(a, b)]
     found.sort(key=lambda pair: (not pair[0][0].static, len(pair[0]) * len(pair[1])))
@@ -178,9 +179,7 @@ def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[Contac
 
 def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], list[UnlikeGroup]]:
     """Return the groups whose pairs are written to :data:`CONTACTS_FILE`, and the groups that are too large for it."""
-    kept: list[UnlikeGroup] = []
-    left: list[UnlikeGroup] = []
-    room = MAX_PAIRS
+    kept, left, room = list[UnlikeGroup](), list[UnlikeGroup](), MAX_PAIRS
     for group in unlike_groups(geoms):
         count = len(group.one) * len(group.other)
         (kept if count <= room else left).append(group)
@@ -191,18 +190,13 @@ def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], lis
 def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
     """Return the text of :data:`CONTACTS_FILE`: one class for each type of contact, and its pairs."""
     kept, left = written_groups(geoms)
-    classes: list[str] = []
-    lines: list[str] = []
-    names: set[str] = set()
+    classes, lines, names = list[str](), list[str](), set[str]()
     for group in kept:
         pairs = list(group_pairs(group, excluded))
         if pairs:
             name = _unused_name(f"{group.one[0].material}_on_{group.other[0].material}", names)
-            classes += [
-                f'    <default class="{name}">',
-                f"      <pair {_attributes(group.contact)} />",
-                "    </default>",
-            ]
+            pair = f"      <pair {_attributes(group.contact)} />"
+            classes += [f'    <default class="{name}">', pair, "    </default>"]
             lines += [f'    <pair class="{name}" geom1="{a.name}" geom2="{b.name}" />' for a, b in pairs]
     if not lines and not left:
         return EMPTY
@@ -212,12 +206,9 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
     ]
     if left:
         count = sum(len(group.one) * len(group.other) for group in left)
-        about.append(
-            f"{count} more pairs between moving objects are too many for a file: load.py makes them in memory."
-        )
-    head = ["<mujoco>", *(f"  <!-- {line} -->" for line in about)]
+        about += [f"{count} more pairs between moving objects are too many for a file: load.py makes them in memory."]
     body = ["  <default>", *classes, "  </default>", "  <contact>", *lines, "  </contact>"] if lines else []
-    return "\n".join([*head, *body, "</mujoco>", ""])
+    return "\n".join(["<mujoco>", *(f"  <!-- {line} -->" for line in about), *body, "</mujoco>", ""])
 
 
 def _unused_name(wish: str, taken: set[str]) -> str:
@@ -244,22 +235,22 @@ def _attributes(surface: ContactSurface) -> str:
 
 def read_scene(folder: Path) -> mujoco.MjSpec:
     """Return the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
-    import mujoco
-
-    text = (folder / "scene.xml").read_text(encoding="utf-8")
     assets = {path.name: path.read_bytes() for path in (folder / "assets").glob("*")}
-    return mujoco.MjSpec.from_string(text, include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
+    return _specification((folder / "scene.xml").read_bytes(), assets)
 
 
 def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
     """Compile the files of a build into a model with exact contacts, as `load()` does."""
-    import mujoco
-
     assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
-    text = files["scene.xml"].decode()
-    spec = mujoco.MjSpec.from_string(text, include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
+    spec = _specification(files["scene.xml"], assets)
     make_exact(spec)
     return spec.compile()
+
+
+def _specification(text: bytes, assets: Mapping[str, bytes]) -> mujoco.MjSpec:
+    import mujoco
+
+    return mujoco.MjSpec.from_string(text.decode(), include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
 
 
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
@@ -279,8 +270,7 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
                 continue
             if not geom.name:  # masks and pairs refer to geoms by name
                 geom.name = f"{body.name}{PROXY}_of_{len(by_name)}"
-            surface = _surface(geom)
-            ours.append(ContactGeom(geom.name, body.name, static, surface, geom.classname.name))
+            ours.append(ContactGeom(geom.name, body.name, static, _surface(geom), geom.classname.name))
             by_name[geom.name] = geom
         pending += [(b, static and not b.joints, foreign_body or b.name in robots) for b in reversed(body.bodies)]
     return ours, by_name, foreign
@@ -290,9 +280,7 @@ def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
     """Return the surface of a geom; resistance to spinning and rolling counts only if ``condim`` includes it."""
     sliding, spinning, rolling = (float(v) for v in geom.friction)
     restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
-    return ContactSurface(
-        sliding, restitution, spinning if geom.condim > 3 else 0.0, rolling if geom.condim > 4 else 0.0
-    )
+    return ContactSurface(sliding, restitution, spinning * (geom.condim > 3), rolling * (geom.condim > 4))
 
 
 def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
@@ -307,17 +295,15 @@ def make_exact(spec: mujoco.MjSpec) -> None:
     """
     geoms, by_name, foreign = read_geoms(spec)
     excluded = excluded_bodies(spec)
-    bits = _free_bits(foreign)
-    groups = unlike_groups(geoms)
     moving = sorted(by_surface(geoms, static=False).items(), key=lambda entry: -len(entry[1]))
-    bit_of = dict(zip((surface for surface, _ in moving), bits, strict=False))
+    bit_of = dict(zip((surface for surface, _ in moving), _free_bits(foreign), strict=False))
     proxied: list[UnlikeGroup] = []
-    for group in groups:
+    for group in unlike_groups(geoms):
         if _needs_proxies(group, bit_of):
             proxied.append(group)
-        else:
-            for one, other in group_pairs(group, excluded):
-                _add_pair(spec, one, other, group.contact)
+            continue
+        for one, other in group_pairs(group, excluded):
+            _add_pair(spec, one, other, group.contact)
     if proxied:
         _set_masks(geoms, by_name, bit_of, proxied)
         _exclude_proxies(spec, _add_proxies(by_name, bit_of, proxied))
@@ -333,19 +319,15 @@ def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
     return [bit for bit in (1 << k for k in range(_MASK_BITS)) if not used & bit]
 
 
-def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[ContactSurface, int]) -> bool:
+def _needs_proxies(group: UnlikeGroup, bit_of: Bits) -> bool:
     """Return true if a group is large and both of its surfaces have mask bits."""
-    static = group.one[0].static
     surfaces = [geoms[0].surface for geoms in (group.one, group.other) if not geoms[0].static]
-    fewest = MIN_STATIC_PAIRS if static else MIN_MOVING_PAIRS
+    fewest = MIN_STATIC_PAIRS if group.one[0].static else MIN_MOVING_PAIRS
     return len(group.one) * len(group.other) >= fewest and all(surface in bit_of for surface in surfaces)
 
 
 def _set_masks(
-    geoms: Iterable[ContactGeom],
-    by_name: Mapping[str, mujoco.MjsGeom],
-    bit_of: Mapping[ContactSurface, int],
-    proxied: Iterable[UnlikeGroup],
+    geoms: Iterable[ContactGeom], by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> None:
     """Set the masks such that geoms meet the robots and all surfaces of the scene for which there are no proxies.
 
@@ -364,7 +346,7 @@ def _set_masks(
 
 
 def _add_proxies(
-    by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[ContactSurface, int], proxied: Iterable[UnlikeGroup]
+    by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> dict[str, list[str]]:
     """Add proxies for the geoms of the smaller side of each group, one for all surfaces with the same contact.
 
@@ -393,18 +375,9 @@ def _add_proxies(
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
     """Add a geom of the same shape whose values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
-    holder.add_geom(
-        geom.classname,
-        name=name,
-        group=4,
-        contype=mask,
-        conaffinity=0,
-        priority=1,
-        condim=dimensions,
-        friction=[mu, spinning, rolling],
-        solref=[*solref(contact.restitution)],
-        **{field: getattr(geom, field) for field in _SHAPE},
-    )
+    values = {"condim": dimensions, "friction": [mu, spinning, rolling], "solref": [*solref(contact.restitution)]}
+    values |= {"contype": mask, "conaffinity": 0, "priority": 1, "group": 4}
+    holder.add_geom(geom.classname, name=name, **values, **{field: getattr(geom, field) for field in _SHAPE})
 
 
 def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> None:

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.features import Loss, approximate
+from simfoundry.backends.features import Loss, approximate, combination_reason
 from simfoundry.backends.mjcf.contact_rules import (
     ContactGeom,
     ContactSurface,
@@ -122,8 +122,7 @@ def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
     if worst is None or not _native_error(worst):
         return
     a, b = (geoms[0].surface.friction for geoms in (worst.one, worst.other))
-    rule = f"MuJoCo uses the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
-    reason = f"{rule}, where the scene has {worst.contact.friction:.3g}."
+    reason = combination_reason("MuJoCo", "the larger", a, b, max(a, b), worst.contact.friction)
     if exact:
         count = sum(len(group.one) * len(group.other) for group in groups)
         reason = f"load.py makes all contacts exact; opened without it, {count} pairs of moving geoms are not: {reason}"

@@ -15,6 +15,7 @@ from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.ray_casts import area_normals, unit
 from simfoundry.geometry.shapes import Mesh, tessellate
 
 _LARGE, _SMALL = 512, 256
@@ -66,7 +67,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     picture = _spread(texels, colors, atlas.size)
     new_faces = atlas.faces.copy()
     new_faces.setflags(write=False)
-    return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), _png(picture))
+    return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), encode_png(picture))
 
 
 def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
@@ -192,13 +193,12 @@ def _eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return np.asarray(ndimage.binary_erosion(mask, iterations=pixels))
 
 
-def _png(picture: NDArray[np.uint8]) -> bytes:
+def encode_png(picture: NDArray[np.uint8]) -> bytes:
+    """Encode an RGB picture as PNG; equal pictures give equal bytes."""
     import cv2
 
-    done, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not done:
-        raise RuntimeError("the texture could not be written as a PNG")
-    return bytes(data.tobytes())
+    _, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return bytes(data)
 
 
 _GUTTER = 4.0  # texels between charts, so that filtering never mixes two of them
@@ -250,9 +250,7 @@ def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
 
 def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
     """Unit normals, shape (m, 3)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15))
+    return unit(area_normals(vertices[faces]))
 
 
 def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:

@@ -17,9 +17,8 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Condition, parse_call, parts
-from simfoundry.worlds.footing import is_ball
 from simfoundry.worlds.mujoco_world import MujocoWorld
-from simfoundry.worlds.rest import is_confined, run_to_rest, tilt_deg
+from simfoundry.worlds.rest import is_ball, is_confined, run_to_rest, tilt_deg
 
 PENETRATION = 0.001
 """Maximum penetration depth at rest [m]."""

@@ -25,8 +25,8 @@ from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.expressions import Condition, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
-from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.rest import supporters
 from simfoundry.worlds.settle import settle
 
 if TYPE_CHECKING:

@@ -50,13 +50,13 @@ class CategoryPrior:
     size: tuple[float, float]
     mass: tuple[float, float]
     colors: tuple[Color, ...]
-    materials: tuple[str, ...]
+    materials: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Priors:
-    """Tables of ``priors.yaml``: materials and categories by name, synonyms of categories, and the generic paint
-    colors.
+    """Tables of ``priors.yaml``: materials and categories by name, synonyms of categories, the generic paint colors,
+    and the patterns by use.
     """
 
     materials: Mapping[str, VariantMaterial]
@@ -64,6 +64,7 @@ class Priors:
     synonyms: Mapping[str, str]
     paints: tuple[Color, ...]
     white: Color
+    patterns: Mapping[str, Any]
 
 
 @cache
@@ -83,14 +84,13 @@ def priors() -> Priors:
                 found.append(colors[entry] if isinstance(entry, str) else tuple(entry))
         return tuple(found)
 
-    materials, categories = {}, {}
-    for name, row in data["materials"].items():
-        own = color_list(row.get("colors", []))
-        materials[name] = VariantMaterial(tuple(row["density"]), row["friction"], row["restitution"], own)
-    for name, row in data["categories"].items():
-        size, mass, made_of = (tuple(row.get(key, ())) for key in ("size", "mass", "materials"))
-        categories[name] = CategoryPrior(size, mass, color_list(row["colors"]), made_of)
-    return Priors(materials, categories, data["synonyms"], color_list("paints"), colors["white"])
+    def fields(row: dict[str, Any]) -> dict[str, Any]:
+        plain = {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
+        return plain | {"colors": color_list(row.get("colors", []))}
+
+    materials = {name: VariantMaterial(**fields(row)) for name, row in data["materials"].items()}
+    categories = {name: CategoryPrior(**fields(row)) for name, row in data["categories"].items()}
+    return Priors(materials, categories, data["synonyms"], color_list("paints"), colors["white"], data["patterns"])
 
 
 def category_prior(category: str) -> CategoryPrior | None:
@@ -118,27 +118,21 @@ JITTER = 0.035
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Change the color of all parts of the body that share its present color."""
-    sort = category_prior(spec.category or spec.name)
-    color = varied(
-        _other(color_of(spec, component.parts[0]), sort.colors if sort is not None else priors().paints, rng), rng
-    )
+    color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
 
 def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Change the material of the body, with its density, friction and one of its colors."""
     sort = category_prior(spec.category or spec.name)
-    old = _material(spec, component.parts[0])
+    link, part = component.parts[0]
+    old = spec.links[link].parts[part].material or spec.links[link].material
     choices = [name for name in (sort.materials if sort is not None else ()) if name != old]
     if old is None or not choices or spec.materials[old].density is None:
         return None
     name = choices[int(rng.integers(0, len(choices)))]
-    stuff = priors().materials[name]
-    color = varied(
-        _other(color_of(spec, component.parts[0]), stuff.colors or (sort.colors if sort else priors().paints), rng), rng
-    )
-    made = recolored(spec, component, color)
-    return _remade(made, old, name, stuff), f"of {name}, {_shown(color)}"
+    color = _another(spec, component, priors().materials[name].colors or palette_of(spec), rng)
+    return _remade(recolored(spec, component, color), old, name), f"of {name}, {_shown(color)}"
 
 
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
@@ -183,20 +177,13 @@ def color_of(spec: AssetSpec, key: Key) -> Color | None:
     part = body.parts[key[1]]
     material = part.material or body.material
     own = spec.materials[material].color if material is not None else None
-    for color in (part.color, body.color, own):
-        if color is not None:
-            r, g, b = color[:3]
-            return r, g, b
-    return None
+    color = next((c for c in (part.color, body.color, own) if c is not None), None)
+    return None if color is None else (color[0], color[1], color[2])
 
 
-def _material(spec: AssetSpec, key: Key) -> str | None:
-    body = spec.links[key[0]]
-    return body.parts[key[1]].material or body.material
-
-
-def _remade(spec: AssetSpec, old: str, name: str, stuff: VariantMaterial) -> AssetSpec:
-    """Return the asset with one material replaced everywhere; a given link mass is scaled to the new density."""
+def _remade(spec: AssetSpec, old: str, name: str) -> AssetSpec:
+    """Return the asset with one material replaced everywhere."""
+    stuff = priors().materials[name]
     made = Material(density=stuff.middle, friction=stuff.friction, restitution=stuff.restitution)
     materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}
     links = {}
@@ -209,10 +196,22 @@ def _remade(spec: AssetSpec, old: str, name: str, stuff: VariantMaterial) -> Ass
     return spec.model_copy(update={"materials": materials, "links": links})
 
 
-def _other(color: Color | None, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """Pick a color that is not close to the present one."""
-    far = [c for c in palette if color is None or sum(abs(a - b) for a, b in zip(c, color, strict=True)) > 0.3]
-    return (far or list(palette))[int(rng.integers(0, len(far or palette)))]
+def palette_of(spec: AssetSpec) -> tuple[Color, ...]:
+    """Return the colors of an asset's category, or of any paint."""
+    prior = category_prior(spec.category or spec.name)
+    return prior.colors if prior is not None else priors().paints
+
+
+def _another(spec: AssetSpec, component: Component, palette: tuple[Color, ...], rng: Rng) -> Color:
+    """Pick a color that is not close to the present one of a component."""
+    old = color_of(spec, component.parts[0])
+    far = [c for c in palette if old is None or color_gap(c, old) > 0.3] or palette
+    return varied(far[int(rng.integers(0, len(far)))], rng)
+
+
+def color_gap(a: Color, b: Color) -> float:
+    """Sum of the differences of two colors in the three channels."""
+    return sum(abs(u - v) for u, v in zip(a, b, strict=True))
 
 
 def varied(color: Color, rng: Rng) -> Color:

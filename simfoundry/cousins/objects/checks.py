@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,8 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     """Collect the requirements of the tasks on the object ``name``; without tasks, those of its present role in the
     scene.
     """
-    calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
+    goals = [goal for task in tasks for goal in (task.goal, *(step.goal for step in task.subtasks.values()))]
+    calls = dict.fromkeys(parse_call(text) for goal in goals for text, path in texts(goal) if "not" not in path)
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
     rests = [
@@ -61,24 +61,9 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     carried = any(c.declaration.effect.grasps and c.args[0].partition(".")[0] == name for c in mine)
     joints = tuple(j.name for j in known[name].joints if j.has_axis and j.limits is not None)
     others = {o: known[o] for c in rests for a in c.args if (o := a.partition(".")[0]) != name}
-    opening = _opening(spec) if carried else None
+    widths = [hand.opening for hand in hands_of(spec.robots) if hand.opening is not None]
+    opening = max(widths, default=None) if carried else None
     return Needs(tuple(rests), joints, opening, MappingProxyType(others))
-
-
-def _calls(task: TaskSpec) -> Iterator[Call]:
-    for goal in (task.goal, *(step.goal for step in task.subtasks.values())):
-        yield from _wanted(goal)
-
-
-def _wanted(goal: Any) -> Iterator[Call]:
-    for text, path in texts(goal):
-        if "not" not in path:
-            yield parse_call(text)
-
-
-def _opening(spec: SceneSpec) -> float | None:
-    """Widest gripper opening of the scene's robots [m]; None if it is unknown."""
-    return max((hand.opening for hand in hands_of(spec.robots) if hand.opening is not None), default=None)
 
 
 SCALE = (0.6, 1.6)
@@ -111,7 +96,7 @@ class ObjectBaseline:
         """Run the checks on the twin itself."""
         kept, lacks = [], []
         for call in needs.rests:
-            outcome = _rests(call, item, needs)
+            outcome = rests(call, {**needs.others, item.name: item})
             if outcome.passed:
                 kept.append(call)
             else:
@@ -134,9 +119,8 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
     if twin.opening is not None:
         width = grasp_width(solid(item))
         if width > twin.opening - MARGIN:
-            narrow = (
-                f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped anywhere"
-            )
+            fits = math.isfinite(width)
+            narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
             text = f"it {narrow}, and the gripper opens {length(twin.opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
     jam = moves(item, twin.item) if twin.needs.joints else None
@@ -147,20 +131,15 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
         if not outcome.passed:
             yield Reason("stands", f"on a table it {outcome.why}")
     for call in twin.rests:
-        outcome = _rests(call, item, twin.needs)
+        outcome = rests(call, {**twin.needs.others, item.name: item})
         if not outcome.passed:
             yield Reason("affordance", f"{call} no longer holds: {outcome.why}")
-
-
-def _rests(call: Call, item: SceneObject, needs: Needs) -> TrialOutcome:
-    return rests(call, {**needs.others, item.name: item})
 
 
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
     """Check that every surface, visual and collision, is closed and encloses a volume."""
     for link in item.links:
-        pieces: list[Collider | Visual] = [*link.colliders, *link.visuals]
-        for piece in pieces:
+        for piece in (*link.colliders, *link.visuals):
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)
             gaps = open_edges(faces)
@@ -363,15 +342,7 @@ def _scene(*items: SceneObject) -> Scene:
 
 def _table() -> SceneObject:
     """A wide table whose top is at z = 0."""
-    box = Box(frozen_array([3.0, 3.0, 0.1]))
-    rgba = frozen_array([0.7, 0.7, 0.7, 1.0])
-    inertia = frozen_array(np.eye(3))
-    link = Link(
-        "base",
-        100.0,
-        frozen_array(np.zeros(3)),
-        inertia,
-        (Visual("top", box, rgba),),
-        (Collider("top", box, 0.5, 0.1),),
-    )
+    box, middle, inertia = Box(frozen_array([3.0, 3.0, 0.1])), frozen_array(np.zeros(3)), frozen_array(np.eye(3))
+    visual, collider = Visual("top", box, frozen_array([0.7, 0.7, 0.7, 1.0])), Collider("top", box, 0.5, 0.1)
+    link = Link("base", 100.0, middle, inertia, (visual,), (collider,))
     return SceneObject(TABLE, "table", True, Pose.of([0.0, 0.0, -0.05]), (link,))

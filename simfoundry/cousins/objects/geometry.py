@@ -76,7 +76,8 @@ def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
 def allowed(spec: AssetSpec, factor: Array) -> Array:
     """Nearest factor to ``factor`` that the shapes of an asset allow, shape (3,)."""
     f = np.array(factor, dtype=np.float64)
-    turned = any(not pose(joint.pose).is_identity and _turns(joint) for joint in spec.joints.values())
+    turns = [pose(joint.pose).rotation for joint in spec.joints.values()]
+    turned = any(not _is_square(turn) or turn.trace() < 3 - SQUARE for turn in turns)
     if turned or is_ball(spec) or any(p.mesh is not None for p in parts_of(spec).values()):
         return np.full(3, float(np.cbrt(f.prod())))
     if any(_round_about_z(part) for part in parts_of(spec).values()):
@@ -140,10 +141,6 @@ def _joint(joint: JointSpec, f: Array) -> JointSpec:
         low, high = (float(v * (axis @ f)) for v in joint.limits)
         changes["limits"] = (low, high)
     return joint.model_copy(update=changes)
-
-
-def _turns(joint: JointSpec) -> bool:
-    return not _is_square(pose(joint.pose).rotation) or pose(joint.pose).rotation.trace() < 3 - SQUARE
 
 
 def is_ball(spec: AssetSpec) -> bool:

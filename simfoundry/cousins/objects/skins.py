@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.cousins.objects.appearance import Color, category_prior, color_of, priors, varied
+from simfoundry.cousins.objects.appearance import Color, color_gap, color_of, palette_of, priors, varied
 from simfoundry.cousins.objects.meshes import mesh_files, strips
 from simfoundry.cousins.objects.parts import (
     MAIN,
-    Component,
     Kind,
     components,
     parts_in,
@@ -52,21 +51,22 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
-    sort = category_prior(spec.category or spec.name)
     parts = parts_of(spec)
     own = color_of(spec, component.parts[0])
     base = own or priors().white
-    names = _patterns(spec, parts[component.parts[0]], component)
+    material = parts[component.parts[0]].material or spec.links[component.link].material or ""
+    names = _patterns(f"{material} {spec.category or spec.name}")
     name = names[int(rng.integers(len(names)))]
-    second = _second(base, name, sort.colors if sort is not None else priors().paints, rng)
-    if name not in NATURAL and rng.random() < 0.5:
+    is_natural = name in priors().patterns["natural"]
+    second = _second(base, is_natural, palette_of(spec), rng)
+    if not is_natural and rng.random() < 0.5:
         base, second = second, base
     image = _painted(PATTERNS[name], base, second, rng)
     files: dict[str, bytes] = {}
     looks: dict[str, PartSpec] = {}
     for k, key in enumerate(key for key in component.parts if color_of(spec, key) == own):
         part = parts[key]
-        mesh = _meshed(part.shape, image, name in AROUND_AXIS) if part.use == "both" else None
+        mesh = _meshed(part.shape, image, name in priors().patterns["around_axis"]) if part.use == "both" else None
         if mesh is None:
             continue
         file, written = mesh_files(mesh)
@@ -88,23 +88,19 @@ def _is_chain(parts: list[PartSpec]) -> bool:
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
-def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[str, ...]:
-    """Return the patterns that suit a category and material."""
-    material = part.material or spec.links[component.link].material or ""
-    category = spec.category or spec.name
-    for words, names in STYLES:
-        if any(word in f"{material} {category}" for word in words):
-            return names
-    return DECORATION
+def _patterns(text: str) -> list[str]:
+    """Return the patterns that suit a material and category, of which ``text`` contains the words."""
+    styles: list[dict[str, list[str]]] = priors().patterns["styles"]
+    return next(style["patterns"] for style in styles if any(word in text for word in style.get("words", [""])))
 
 
-def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Color:
+def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng) -> Color:
     """Choose the second color of a pattern: a shade of the first for natural materials, else a contrasting one."""
-    if name in NATURAL:
+    if is_natural:
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
         return r, g, b
-    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [priors().white]
+    far = [c for c in palette if color_gap(c, base) > 0.5] or [priors().white]
     return varied(far[int(rng.integers(len(far)))], rng)
 
 
@@ -357,21 +353,3 @@ PATTERNS: dict[str, Pattern] = {
     # A strip along the middle.
     "tape": lambda _, v, r: np.asarray(np.abs(v - r.uniform(0.4, 0.6)) < 0.09, dtype=np.float64),
 }
-
-DECORATION = (
-    "bands", "stripes", "a spiral", "dots", "checks", "a painted rim", "a dipped foot", "drips of glaze", "zigzags",
-    "speckles", "terrazzo", "a gradient",
-)  # fmt: skip
-AROUND_AXIS = ("bands", "a painted rim", "a dipped foot", "drips of glaze", "zigzags", "streaks", "a gradient")
-"""Patterns that go around an axis even if they are seen from above."""
-
-NATURAL = ("streaks", "speckles", "wood grain", "planks")
-"""Patterns in two shades of one color."""
-
-STYLES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("fruit", "apple", "banana", "grapes"), ("streaks", "speckles", "a gradient")),
-    (("bamboo", "wood", "board"), ("wood grain", "planks", "wood grain", "bands")),
-    (("carton",), ("print", "tape", "stripes", "wood grain")),
-    (("steel", "aluminum", "enamel"), ("a painted rim", "a dipped foot", "bands", "speckles", "dots", "checks")),
-)
-"""Patterns by words in the material or category; :data:`DECORATION` is the default."""

@@ -77,6 +77,11 @@ class Variant:
         """File name of its document."""
         return f"{self.name}.asset.yaml"
 
+    def to_json(self) -> dict[str, Any]:
+        """Return a plain mapping for manifests."""
+        data = {"asset": self.file, "candidate": self.k, "source": self.source, "changed": list(self.changed)}
+        return data | {"distance": round(self.distance, 3)}
+
 
 @dataclass(frozen=True, eq=False)
 class Refused:
@@ -108,6 +113,11 @@ class Variants:
         """Count each reason for rejection, the most frequent first."""
         counts = Counter(reason.code for one in self.refused for reason in one.reasons)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return a plain mapping for manifests."""
+        accepted, refused = ([one.to_json() for one in of] for of in (self.accepted, self.refused))
+        return {"accepted": accepted, "refused": refused, "reasons": self.reasons, "lacks": list(self.lacks)}
 
 
 def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:

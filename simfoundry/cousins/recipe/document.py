@@ -16,6 +16,7 @@ from typing import Any
 
 import simfoundry
 from simfoundry.assets.cache import Cache
+from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.recipe.candidate import file_of
 from simfoundry.cousins.recipe.library import LibraryItem, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
@@ -28,6 +29,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.cousins import CousinsSpec
 from simfoundry.spec.models.place import DEPTHS, SIDES, Place
 from simfoundry.spec.models.scene import SceneSpec
@@ -96,8 +98,6 @@ class Recipe:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """Words for the objects of the twin, sorted: their names, labels, and categories or asset names."""
-        from simfoundry.spec.models.asset import AssetSpec
-
         found = set()
         for name, item in self.scene_spec.objects.items():
             asset = self.scene.used(item.asset) if item.asset is not None else None
@@ -112,7 +112,9 @@ class Recipe:
         inputs = record(self.scene, ())
         inputs["task"] = None if self.task_spec is None else to_data(self.task_spec)
         inputs["library"] = [[item.name, item.digest] for item in self.distractors]
-        inputs["objects"] = self._object_files()
+        objects = self.spec.object
+        library = None if objects is None or objects.library is None else located(objects.library, self.loaded.path)
+        inputs["objects"] = {} if library is None else contents(library)
         axes = {key: value for key, value in to_data(self.spec).items() if key not in (*NOT_COUNTED, "twin")}
         return {
             "recipe": self.spec.name,
@@ -121,15 +123,6 @@ class Recipe:
             "twin": _hash(inputs),
             "generator": f"simfoundry {inputs['software']['simfoundry']}",
         }
-
-    def _object_files(self) -> dict[str, str]:
-        """Return the contents of the object axis's library."""
-        axis = self.spec.object
-        if axis is None or axis.library is None:
-            return {}
-        from simfoundry.cousins.objects.retrieval import contents
-
-        return contents(located(axis.library, self.loaded.path))
 
 
 def _hash(data: object) -> str:

@@ -20,7 +20,7 @@ from simfoundry.cousins.objects.checks import Needs, needs_of
 from simfoundry.cousins.objects.generation import SourceSetup, opened
 from simfoundry.cousins.objects.item import ObjectAsset, item_of
 from simfoundry.cousins.objects.retrieval import contents
-from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
+from simfoundry.cousins.objects.variants import Origins, Progress, variants, write
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.cousins.recipe.document import Recipe, relative
 from simfoundry.cousins.recipe.library import LibraryItem
@@ -30,13 +30,16 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.files import ASSET_SUFFIX, located
+from simfoundry.spec.load import load_kind
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
-from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import to_data, to_yaml, write_tree
 
 if TYPE_CHECKING:
     from simfoundry.cousins.layout.twin import Twin
@@ -105,22 +108,16 @@ def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str,
     """Return the paths by which cousins in ``out`` name library objects; files outside the project ``root`` are copied
     first.
     """
-    return {item.name: _reference(item, root, out) for item in items}
-
-
-def _reference(item: LibraryItem, root: Path, out: Path) -> str:
-    if item.file.resolve().is_relative_to(root):
-        return relative(item.file, out)
-    return relative(copied(item.file, out / ASSETS / item.digest[:8] / item.name), out)
+    found = {}
+    for item in items:
+        inside = item.file.resolve().is_relative_to(root)
+        file = item.file if inside else copied(item.file, out / ASSETS / item.digest[:8] / item.name)
+        found[item.name] = relative(file, out)
+    return found
 
 
 def copied(file: Path, folder: Path) -> Path:
     """Copy a mesh, or a flattened asset document, to ``folder`` with the files that it names."""
-    from simfoundry.spec.load import load_kind
-    from simfoundry.spec.models.asset import AssetSpec
-    from simfoundry.spec.yaml.tree import plain_tree
-    from simfoundry.spec.yaml.write import to_data, write_tree
-
     if not file.name.endswith(ASSET_SUFFIX):
         _copy_mesh(file, folder)
         return folder / file.name
@@ -147,13 +144,9 @@ def _copy_mesh(mesh: Path, folder: Path) -> None:
     beside = mesh.parent.resolve()
     for path in (mesh.resolve(), *companions(mesh)):
         if path.is_relative_to(beside):
-            _copy(path, folder / path.relative_to(beside))
-
-
-def _copy(source: Path, target: Path) -> None:
-    data = source.read_bytes()
-    if not (target.is_file() and target.read_bytes() == data):
-        write_atomically(target, data)
+            target, data = folder / path.relative_to(beside), path.read_bytes()
+            if not (target.is_file() and target.read_bytes() == data):
+                write_atomically(target, data)
 
 
 def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
@@ -231,7 +224,7 @@ def prepare(
             made = variants(item, wanted, needs, seed, origins, cache, progress)
             for variant in made.accepted:
                 write(variant, folder)
-            record = {"key": key, **record_of(made)}
+            record = {"key": key, **made.to_json()}
             write_atomically(path, (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode())
         records[name] = record
     return records
@@ -245,10 +238,8 @@ def made_for(
     Raises :class:`ImpossibleError` for an object without variants (with the results of its candidates) and for a source
     that is not set up, and :class:`~simfoundry.errors.SimfoundryError` for models that do not answer.
     """
-    cache = Cache.default()
-    records = prepare(
-        axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=given.library
-    )
+    cache, library = Cache.default(), given.library
+    records = prepare(axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=library)
     for name, record in records.items():
         if not record["accepted"]:
             tried = len(record["refused"])
@@ -302,22 +293,6 @@ def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
         made, refused = len(record["accepted"]), len(record["refused"])
         found.append(VariantCount(name, wanted.count, made, made + refused, record["reasons"], examples))
     return tuple(found)
-
-
-def record_of(made: Variants) -> dict[str, Any]:
-    """Return the manifest entry for the variants of one object."""
-    accepted = [
-        {
-            "asset": v.file,
-            "candidate": v.k,
-            "source": v.source,
-            "changed": list(v.changed),
-            "distance": round(v.distance, 3),
-        }
-        for v in made.accepted
-    ]
-    refused = [r.to_json() for r in made.refused]
-    return {"accepted": accepted, "refused": refused, "reasons": made.reasons, "lacks": list(made.lacks)}
 
 
 def _key(

@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from simfoundry.backends.artifact import number
 from simfoundry.cousins.recipe.candidate import Candidate
@@ -27,10 +26,6 @@ from simfoundry.runtime.files import MARK, writing_atomically
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.yaml.text import parse
-
-if TYPE_CHECKING:
-    from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.models.scene import SceneSpec
 
 VERSION = "cousins-run/1"
 """Format version of the manifest."""
@@ -113,25 +108,18 @@ def draw(file: Path) -> bytes | None:
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.worlds.base import resized
     from simfoundry.worlds.render import render
 
     loaded = load_scene(file)
     assert isinstance(loaded.spec, SceneSpec)
     scene = lower(loaded, Cache.default())
-    camera = view(scene, loaded.spec)
-    return None if camera is None else png_bytes(render(scene, camera))
-
-
-def view(scene: Scene, spec: SceneSpec) -> Camera | None:
-    """Return the viewpoint's camera, or the first, with a small image; None without cameras."""
     cameras = {camera.name: camera for camera in scene.cameras}
-    camera = cameras.get(spec.viewpoint or "") or next(iter(cameras.values()), None)
+    camera = cameras.get(loaded.spec.viewpoint or "") or next(iter(cameras.values()), None)
     if camera is None:
         return None
-    scale = WIDTH / camera.width
-    height = max(1, round(camera.height * scale))
-    cx, cy = scale * (camera.cx + 0.5) - 0.5, scale * (camera.cy + 0.5) - 0.5
-    return replace(camera, width=WIDTH, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
+    height = max(1, round(camera.height * WIDTH / camera.width))
+    return png_bytes(render(scene, resized(camera, WIDTH, height)))
 
 
 # -- USD stage ---------------------------------------------------------------------------------------------------------
@@ -165,6 +153,8 @@ Objects = Mapping[str, Mapping[str, Any]]
 
 def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
     """Write the stage of a run's cousins; raises :class:`OutputError` if they have no scenes of their own."""
+    from simfoundry.targets.build import build
+
     if path.suffix != ".usda":
         raise OutputError(f"a stage is written as text; name it {path.with_suffix('.usda').name}")
     added: dict[str, Mapping[str, Any]] = {}
@@ -177,9 +167,10 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
                 others.setdefault(name, {})[_variant(data["asset"])] = data["asset"]
     whole = _whole(plan, recipe, added, others)
     home = {name: item.X_WO for name, item in whole.by_name.items()}
-    _build(whole, path)
+    build(whole, ("usd",), path.with_suffix(""))
     with writing_atomically(path) as stream:
-        stream.write(_head(path).encode())
+        head = _HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
+        stream.write(head.encode())
         stream.write(_block(TWIN, {}, added, home).encode())
         for index, objects in _cousins(ledger):
             stream.write(_block(f"c{index:06d}", objects, added, home).encode())
@@ -221,25 +212,15 @@ def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, M
     return lower(loaded, Cache.default())
 
 
-def _build(whole: Any, path: Path) -> None:
-    from simfoundry.targets.build import build
-
-    build(whole, ("usd",), path.with_suffix(""))
-
-
-def _head(path: Path) -> str:
-    return _HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
-
-
 def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:
     """Format one variant of the set."""
     lines = [f'        "{name}" {{', '            over "Objects"', "            {"]
     lines += [f'                over "{other}" (active = false) {{}}' for other in added if other not in objects]
-    for thing, data in objects.items():
-        chosen = _variant(data["asset"]) if "asset" in data and thing not in added else ""
+    for own, data in objects.items():
+        chosen = _variant(data["asset"]) if "asset" in data and own not in added else ""
         choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
-        X_WO = pose(PoseSpec(**data["pose"])) if "pose" in data else home[thing]
-        lines += [f'                over "{thing}"{choice}', "                {", *_placed(X_WO), "                }"]
+        X_WO = pose(PoseSpec(**data["pose"])) if "pose" in data else home[own]
+        lines += [f'                over "{own}"{choice}', "                {", *_placed(X_WO), "                }"]
     return "\n".join([*lines, "            }", "        }", ""])
 
 

@@ -54,15 +54,12 @@ class CandidatePool(Protocol):
 
     def submit(self, index: int) -> None:
         """Request a candidate."""
-        ...
 
     def next(self) -> Candidate:
         """Return the next of the requested candidates to finish."""
-        ...
 
     def close(self) -> None:
         """Stop all work in progress."""
-        ...
 
 
 class LocalPool:

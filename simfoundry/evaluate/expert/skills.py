@@ -18,7 +18,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject
 from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState, object_at
-from simfoundry.worlds.footing import center_of_mass
+from simfoundry.worlds.rest import center_of_mass
 
 STANDOFF = 0.09
 """Distance before a grasp at which the hand stops to observe [m]."""

@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 
 if TYPE_CHECKING:
-    from simfoundry.worlds.robot import WorldRobot
+    from simfoundry.worlds.base import WorldRobot
 
 Image = NDArray[np.uint8]
 """A color image, shape (height, width, 3)."""
@@ -87,6 +87,7 @@ class Policy(Protocol):
 
     def close(self) -> None:
         """Release all resources."""
+        return
 
 
 class PolicyError(SimfoundryError):

@@ -16,8 +16,7 @@ from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.task import Reset, ResetRegion
 from simfoundry.worlds.base import World
-from simfoundry.worlds.footing import is_ball
-from simfoundry.worlds.rest import simulate
+from simfoundry.worlds.rest import is_ball, simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
 GridCell = tuple[int, int]

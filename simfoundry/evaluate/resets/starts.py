@@ -12,7 +12,9 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -152,13 +154,13 @@ def starts(
     size = along_x * along_y
     key = key_of_starts(task, seed) if cache is not None else ""
     found: list[RolloutStart] = []
-    with _Setting(task, seed) as setting:
+    with closing(_Search(task, seed)) as search:
         for block in range(-(-n // size)):
             wanted = min(size, n - block * size)
             done = _Block.of(task, seed, block, read_block(cache, f"{key}/{block}") if cache is not None else None)
             known = len(done.starts)
             while len(done.starts) < wanted:
-                done.starts.append(setting.next(done))
+                done.starts.append(search.next(done))
                 if progress is not None:
                     progress(len(found) + len(done.starts), n)
             if cache is not None and len(done.starts) > known:
@@ -203,20 +205,20 @@ class _Block:
         cells[k], cells[other] = cells[other], cells[k]
 
 
-class _Setting:
-    """A task with a world that is opened when the first start must be found."""
+class _Search:
+    """A search for starts of a task, with a world that is opened when the first one must be found."""
 
     def __init__(self, task: Task, seed: int) -> None:
         self.task, self.seed = task, seed
-        self._world: World | None = None
-        self._judge: Judge | None = None
 
-    def __enter__(self) -> _Setting:
-        return self
+    @cached_property
+    def _opened(self) -> tuple[World, Judge]:
+        return open_world(self.task.scene, "mujoco"), Judge(self.task.scene)
 
-    def __exit__(self, *error: object) -> None:
-        if self._world is not None:
-            self._world.close()
+    def close(self) -> None:
+        """Close the world if it was opened."""
+        if "_opened" in vars(self):
+            self._opened[0].close()
 
     def next(self, block: _Block) -> RolloutStart:
         """Find the next start of a deal; its cells may be exchanged with those of later ones."""
@@ -251,7 +253,7 @@ class _Setting:
         return refusals
 
     def _attempt(self, spots: Spots, cells: Mapping[str, GridCell]) -> SceneState | Refusal:
-        world, judge = self._opened()
+        world, judge = self._opened
         state = placed(self.task, spots)
         if (refusal := clash(self.task, world, spots, state)) is not None:
             return refusal
@@ -267,11 +269,6 @@ class _Setting:
                 next(iter(cells), ""), "the goal is true already", f"the goal is true already: {verdict.why}"
             )
         return result
-
-    def _opened(self) -> tuple[World, Judge]:
-        if self._world is None or self._judge is None:
-            self._world, self._judge = open_world(self.task.scene, "mujoco"), Judge(self.task.scene)
-        return self._world, self._judge
 
 
 def _commonest(refusals: list[Refusal]) -> Refusal:

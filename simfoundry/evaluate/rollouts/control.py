@@ -11,8 +11,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, Image, ImageSize, Rob
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.worlds.base import World
-from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds.base import World, WorldRobot
 
 
 def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:

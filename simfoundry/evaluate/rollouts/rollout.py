@@ -39,8 +39,7 @@ from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import parse_call, texts
-from simfoundry.worlds.base import World
-from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds.base import World, WorldRobot
 
 HOLD = 3
 """Number of consecutive control steps (0.2 s at 15 Hz) for which a goal must be true, so that passing through it does
@@ -218,8 +217,11 @@ class _Run:
         self.controller = Controller(self.robots, policy.action_space, task.control_hz)
         with self.clock("judge"):
             self.progress = Progress(task, judge, self.state)
-        self.floor = _floor(task)
-        self.judged = _judged(task)
+        objects = task.scene.objects
+        self.floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in objects), default=0.0) - FALLEN
+        # Once a free object of the goal has fallen off the scene, the goal cannot be reached any more.
+        named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
+        self.judged = [item.name for item in objects if item.name in named and not item.fixed]
         self.actions: list[Array] = []
         self.chunks = 0
         self.frames: dict[str, list[Image]] = {name: [] for name in (video.cameras if video is not None else ())}
@@ -298,10 +300,8 @@ class _Run:
         for name in self.judged:
             below = self.floor - float(self.state.poses[name].p[2])
             if below > 0:
-                return (
-                    RolloutEnd.FELL,
-                    f"`{name}` fell to {below + FALLEN:.2f} m below the lowest point of the initial scene",
-                )
+                below += FALLEN
+                return RolloutEnd.FELL, f"`{name}` fell to {below:.2f} m below the lowest point of the initial scene"
         return None
 
     def _note(self) -> None:
@@ -339,14 +339,3 @@ class _Run:
             final=self.state,
             frames=MappingProxyType({name: tuple(frames) for name, frames in self.frames.items()}),
         )
-
-
-def _floor(task: Task) -> float:
-    """Height [m] below which an object has fallen off the scene."""
-    return min((float(world_bounds(o, o.X_WO)[0][2]) for o in task.scene.objects), default=0.0) - FALLEN
-
-
-def _judged(task: Task) -> tuple[str, ...]:
-    """Free objects in the goal; once one has fallen off the scene, the goal cannot be reached any more."""
-    named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
-    return tuple(item.name for item in task.scene.objects if item.name in named and not item.fixed)

@@ -12,6 +12,7 @@ import numpy as np
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize
+from simfoundry.runtime.files import write_atomically
 
 HEIGHT, WIDEST = 240, 640
 """Height of a video, and maximum width per camera [px]: a page with 25 rollouts stays below 10 MB, and images of up to
@@ -41,21 +42,16 @@ def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:
     if not frames:
         raise ValueError("a video needs at least one image")
     height, width = frames[0].shape[:2]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, staging = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".webm", dir=path.parent)
-    os.close(handle)
-    try:
+    with tempfile.TemporaryDirectory() as folder:
+        staging = Path(folder) / path.name
         with _quiet():
-            writer = cv2.VideoWriter(staging, cv2.VideoWriter_fourcc(*"VP80"), rate, (width, height))  # type: ignore[attr-defined]
+            writer = cv2.VideoWriter(str(staging), cv2.VideoWriter_fourcc(*"VP80"), rate, (width, height))  # type: ignore[attr-defined]
             if not writer.isOpened():
                 raise SimfoundryError("this OpenCV cannot write VP8; run without videos (--no-video)")
             for frame in frames:
                 writer.write(frame[:, :, ::-1].copy())
             writer.release()
-        Path(staging).chmod(0o644)
-        os.replace(staging, path)
-    finally:
-        Path(staging).unlink(missing_ok=True)
+        write_atomically(path, staging.read_bytes())
 
 
 @contextmanager

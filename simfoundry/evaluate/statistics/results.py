@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from simfoundry import __version__
 from simfoundry.evaluate.rollouts.rollout import RolloutEnd
@@ -128,26 +128,19 @@ def pools(records: Iterable[Record]) -> list[RatePool]:
     found = []
     for part, name, engine, policy in sorted(groups, key=lambda key: (key[0] != "whole", key[0], order[key[1]])):
         tasks = groups[part, name, engine, policy]
-        counts = tuple((sum(r["success"] for r in each), len(each)) for each in tasks.values())
-        invalid = sum(r["end"] == "invalid answer" for each in tasks.values() for r in each)
         every = [r for each in tasks.values() for r in each]
+        counts = tuple((sum(r["success"] for r in each), len(each)) for each in tasks.values())
+        invalid = sum(r["end"] == RolloutEnd.INVALID for r in every)
         named = dict.fromkeys(step for r in every for step in r["subtasks"])
-        steps = {step: _rate_of_step([r["subtasks"][step] for r in every if step in r["subtasks"]]) for step in named}
+        steps = {step: _rate_of([r["subtasks"][step] for r in every if step in r["subtasks"]]) for step in named}
         found.append(RatePool(policy, engine, part, name, counts, steps, invalid))
     several = {(p.part, p.stratum) for p in found if len(p.counts) > 1 or p.stratum != "all"}
     return [pool for pool in found if (pool.part, pool.stratum) in several]
 
 
-def _rate_of_step(done: Sequence[int | None]) -> Rate:
+def _rate_of(done: Sequence[int | None]) -> Rate:
+    """Rate of a step, given the control step at which each rollout did it, if it did."""
     return Rate(sum(step is not None for step in done), len(done))
-
-
-def pool_rows(found: Sequence[RatePool]) -> dict[str, dict[str, RatePool]]:
-    """Arrange the pools by title and policy; the title names the engine if there are several."""
-    several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, RatePool]]()
-    for pool in found:
-        rows.setdefault(f"{pool.title} in {pool.engine}" if several else pool.title, {})[pool.policy] = pool
-    return rows
 
 
 def stratum_of(record: Record) -> str:
@@ -239,12 +232,15 @@ def cells(records: Iterable[Mapping[str, Any]]) -> list[ScoreRow]:
     return [_cell(key, found) for key, found in groups.items()]
 
 
-def titles(found: Sequence[ScoreRow]) -> dict[str, dict[str, ScoreRow]]:
-    """Arrange the cells by title and policy; the title names the engine if there are several."""
-    several = len({cell.engine for cell in found}) > 1
-    named: dict[str, dict[str, ScoreRow]] = {}
-    for cell in found:
-        named.setdefault(f"{cell.title} in {cell.engine}" if several else cell.title, {})[cell.policy] = cell
+Row = TypeVar("Row", ScoreRow, RatePool)
+
+
+def by_title(found: Sequence[Row]) -> dict[str, dict[str, Row]]:
+    """Arrange rows by title and policy; the title names the engine if there are several."""
+    several = len({row.engine for row in found}) > 1
+    named: dict[str, dict[str, Row]] = {}
+    for row in found:
+        named.setdefault(f"{row.title} in {row.engine}" if several else row.title, {})[row.policy] = row
     return named
 
 
@@ -266,7 +262,7 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
         engine=engine,
         policy=policy,
         success=Rate(sum(r["success"] for r in found), len(found)),
-        subtasks={n: Rate(sum(r["subtasks"].get(n) is not None for r in found), len(found)) for n in names},
+        subtasks={n: _rate_of([r["subtasks"].get(n) for r in found]) for n in names},
         ends=dict(sorted(Counter(r["end"] for r in found).items())),
         mean_steps=sum(steps) / len(steps) if steps else None,
         invalid=sum(r["end"] == RolloutEnd.INVALID for r in found),

@@ -87,16 +87,11 @@ class Bodies:
             self._bodies[name] = CollisionBody(item, tuple(_form(link) for link in item.links), made)
         return self._bodies[name]
 
-    @property
-    def items(self) -> tuple[SceneObject, ...]:
-        """All bodies as objects."""
-        return tuple(self[name].item for name in (*self.objects, *self.robots))
-
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
         """Collision shapes of each link of all bodies, by the name of the body and the index of the link."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
-            for item in self.items
+            for item in (self[name].item for name in (*self.objects, *self.robots))
             for k, link in enumerate(item.links)
         }
 

@@ -88,17 +88,12 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
     """Margin by which any of the hands holds an object [m], (n,), at least -:data:`FAR`."""
     best = np.full(view.n, -FAR)
     for hand in hands:
-        margin = TOUCH - touching(view, distances, hand, thing)
+        margin = TOUCH - np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
         near = np.flatnonzero(margin > 0)
         if len(near):
             margin[near] = np.minimum(margin[near], pressing(view.at(near), distances, hand, thing) - PRESS / 2)
         best = np.maximum(best, margin)
     return best
-
-
-def touching(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """Larger of the distances of the two sides from an object [m], (n,), on its side of :data:`TOUCH`."""
-    return np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:

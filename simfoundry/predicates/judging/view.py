@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +13,6 @@ from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
 from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.scene.model import Joint, JointType, Scene
 from simfoundry.scene.state import SceneState
-
-
-def _nothing() -> Mapping[str, Array]:
-    return MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,31 +26,28 @@ class StateBatch:
 
     n: int
     poses: Mapping[str, Poses]
-    joints: Mapping[str, Array] = field(default_factory=_nothing)
-    motions: Mapping[str, Poses] = field(default_factory=lambda: MappingProxyType({}))
-    robots: Mapping[str, Array] = field(default_factory=_nothing)
-    speeds: Mapping[str, Array] = field(default_factory=_nothing)
+    joints: Mapping[str, Array] = field(default_factory=dict)
+    motions: Mapping[str, Poses] = field(default_factory=dict)
+    robots: Mapping[str, Array] = field(default_factory=dict)
+    speeds: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene, states: Sequence[SceneState]) -> StateBatch:
         """Return the states in their order; values missing from a state are those of the scene."""
         initial = SceneState.initial(scene)
-        arms = {f"{r}.{j}" for s in states for r, joints in s.robots.items() for j in joints}
-        complete = {r: [s.robots.get(r) for s in states] for s in states[:1] for r in s.robots}
-        if any(joints is None for every in complete.values() for joints in every):
+        arms = {f"{r}.{j}": (r, j) for s in states for r, joints in s.robots.items() for j in joints}
+        if any(r not in s.robots for r in (states[0].robots if states else ()) for s in states):
             raise ValueError(
                 "only some of the states have positions of the robots' joints; give them for all states or for none"
             )
+        moving = {name for s in states for name in s.speeds}
         return cls(
             len(states),
-            {n: _stacked([s.poses.get(n, pose) for s in states]) for n, pose in initial.poses.items()},
+            _stacked({n: [s.poses.get(n, pose) for s in states] for n, pose in initial.poses.items()}),
             {n: np.array([s.joints.get(n, at) for s in states]) for n, at in initial.joints.items()},
-            {n: _stacked([s.motions.get(n, at) for s in states]) for n, at in initial.motions.items()},
-            {n: np.array([s.robots[n.partition(".")[0]][n.partition(".")[2]] for s in states]) for n in sorted(arms)},
-            {
-                n: np.array([s.speeds.get(n, 0.0) for s in states])
-                for n in sorted({k for s in states for k in s.speeds})
-            },
+            _stacked({n: [s.motions.get(n, at) for s in states] for n, at in initial.motions.items()}),
+            {n: np.array([s.robots[r][j] for s in states]) for n, (r, j) in sorted(arms.items())},
+            {n: np.array([s.speeds.get(n, 0.0) for s in states]) for n in sorted(moving)},
         )
 
     def at(self, index: Index) -> StateBatch:
@@ -68,8 +60,13 @@ class StateBatch:
         return StateBatch(len(index), poses, taken(self.joints), motions, taken(self.robots), taken(self.speeds))
 
 
-def _stacked(poses: Sequence[Pose]) -> Poses:
-    return Poses.of(np.array([x.p for x in poses]).reshape(-1, 3), np.array([x.q for x in poses]).reshape(-1, 4))
+def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
+    """Convert the poses of each object in n states; all at once, because that costs hardly more than one."""
+    every = [pose for each in poses.values() for pose in each]
+    whole = Poses.of(np.array([x.p for x in every]).reshape(-1, 3), np.array([x.q for x in every]).reshape(-1, 4))
+    n = len(every) // max(len(poses), 1)
+    spans = {name: slice(k * n, (k + 1) * n) for k, name in enumerate(poses)}
+    return {name: Poses(whole.p[span], whole.R[span]) for name, span in spans.items()}
 
 
 UP = np.array([0.0, 0.0, 1.0])
