@@ -260,7 +260,7 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Visual surroundings of a scene, without collisions: visuals posed in a frame ``X_WB``, or a splat of Gaussians."""
+    """Visual surroundings of a scene without collisions: visuals posed in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
