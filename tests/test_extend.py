@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.api import scenes
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.entries import open_policy, parse_policy
@@ -137,6 +138,20 @@ def test_eval_runs_the_robot_with_the_policy_protocol(scene: Path, tmp_path: Pat
     assert '"hold"' in done.out
     choice = parse_policy(policy)
     assert isinstance(choice, PolicySpec) and open_policy(choice).name == "my_protocol"
+
+
+@pytest.mark.usefixtures("site")
+def test_import_reads_the_format_of_the_package(tmp_path: Path) -> None:
+    """Alone, in a folder, and from Python; and its refusal names the line."""
+    (tmp_path / "shelf.boxes").write_text("board 0 0 0.01 0.5 0.3 0.02\nbook 0.1 0 0.12 0.03 0.15 0.2\n")
+    done = run("import", tmp_path / "shelf.boxes", "--density", "600", "-o", tmp_path / "shelf.scene.yaml", "--json")
+    assert done.code == 0, done.out + done.err
+    assert done.json["format"] == "boxes" and done.json["bodies"] == 2
+    assert "1 of 1 imported" in run("import", tmp_path, "-o", tmp_path / "out").out
+    assert scenes.load(tmp_path / "shelf.boxes").objects["book"].pose.xyz == (0.1, 0.0, 0.12)
+    (tmp_path / "shelf.boxes").write_text("board 0 0 0.01 0.5 0.3\n")
+    refused = run("import", tmp_path / "shelf.boxes", "--force", "-o", tmp_path / "shelf.scene.yaml")
+    assert refused.code == 2 and "shelf.boxes:1: `board` has 5 numbers, not 6" in refused.err
 
 
 @pytest.mark.usefixtures("site")

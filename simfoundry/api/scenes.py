@@ -235,17 +235,18 @@ class SceneDocument(EditableDocument):
         return Judge(lowered)(asked, SceneState.initial(lowered) if state is None else state)
 
 
-IMPORTED = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
-"""File suffixes that frontends read."""
-
-
 def load(path: str | Path) -> SceneDocument:
     """Load a scene: a document, or a USD, MJCF or URDF file, which is imported.
 
     Raises :class:`SpecError` with every finding if the document has errors.
     """
     path = Path(path)
-    return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        from simfoundry.frontends.registry import model_suffixes
+
+        if path.suffix.lower() in model_suffixes():
+            return _imported(path)
+    return SceneDocument.load(path)
 
 
 def is_compiled_stage(path: Path) -> bool:

@@ -18,7 +18,7 @@ MAX_BYTES = 2 * 2**30
 """Largest size of a cache [bytes]: the convex parts of about ten thousand meshes."""
 
 SHELVES = 256
-"""Folders of a cache, by the first two digits of the keys; each keeps its share of the bytes."""
+"""Number of folders of a cache, by the first two digits of the keys; each may use its share of the bytes."""
 
 UNREAD_S = 24 * 3600.0
 """Interval in which repeated reads of an entry do not update its access time."""
@@ -26,7 +26,7 @@ UNREAD_S = 24 * 3600.0
 
 @dataclass(frozen=True)
 class Cache:
-    """Bytes by key below ``folder``, at most ``most`` in all; entries are written in one step and never change."""
+    """Bytes by key below ``folder``, at most ``most`` in total; entries are written atomically and never change."""
 
     folder: Path
     most: int = MAX_BYTES
@@ -67,7 +67,7 @@ class Cache:
 
 
 def _trim(shelf: Path, most: int) -> None:
-    """Remove what was not read for longest until at most ``most`` bytes are left, and what killed writes left."""
+    """Remove least recently read entries until at most ``most`` bytes remain, and leftovers of killed writes."""
     kept = 0
     with os.scandir(shelf) as entries:
         found = [(entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries]

@@ -12,19 +12,19 @@ ON_MESH, ON_PARTS = 20_000, 4_000
 """Points that are compared, on the mesh and on the parts: of an object of 20 cm the former are about 1 mm apart."""
 
 NEIGHBORS = 8
-"""Samples beside a point by whose triangles its distance is bounded."""
+"""Number of nearest samples whose triangles give an upper bound of the distance of a point."""
 
 TOGETHER = 256
-"""Points whose distance is made exact at once: the greatest ones first, of which few are needed."""
+"""Points whose exact distance is computed at once, in the order of their bounds; few such batches are needed."""
 
 ROUNDING = 1e-12
-"""Rounding of a bound [m], so that the triangle that gave it is not missed."""
+"""Margin of a bound [m] for rounding errors, so that the triangle from which it was computed is found again."""
 
 CHECKED = 4_000
-"""Points on the mesh that are looked for in the parts: one in five tells the distance within a percent."""
+"""Points of the mesh whose distance to the parts is computed: every fifth one suffices for an accuracy of 1 %."""
 
 TOUCHING = 0.01
-"""Parts whose gap is less than this share of the longest side meet where they were cut, and nothing fits in between."""
+"""Gap between parts, relative to the longest side, below which they count as touching: they were cut there."""
 
 
 def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -> float:
@@ -48,7 +48,7 @@ def greatest_distance(points: Array, vertices: Array, faces: Faces) -> float:
 
 
 def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, NDArray[np.int64]]:
-    """Points spread over triangles by area, shape (count, 3), the same for the same mesh, and the triangle of each."""
+    """Return reproducible points, uniformly distributed over triangles, shape (count, 3), and their triangles."""
     rng = np.random.default_rng(0)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -89,10 +89,10 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
 
 
 def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
-    """The greatest distance [m] of points to triangles (m, 3, 3), whose samples tell which of them are near.
+    """Return the greatest distance [m] of points to triangles (m, 3, 3), given samples on the triangles.
 
-    The samples give upper bounds. Distances are computed exactly in the order of these bounds, until the next bound is
-    no greater than the distance found.
+    The nearest samples give upper bounds. Distances are computed exactly in the order of these bounds, until the next
+    bound is no greater than the distance found.
     """
     from scipy.spatial import cKDTree
 
@@ -119,7 +119,7 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
 
 
 def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
-    """The least distance [m] of each point, by ``rows``, to its triangles, by ``columns``; inf without any."""
+    """Return the distance [m] of each point to the nearest of its triangles, given as pairs; inf if it has none."""
     import trimesh
 
     closest = trimesh.triangles.closest_point(triangles[columns], points[rows])
@@ -129,19 +129,19 @@ def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], c
 
 
 ENOUGH_FACES = 4096
-"""Triangles that suffice: of the banana of YCB (16,384) so many take 0.6 s to cut instead of 4.3 s, as well."""
+"""Triangles to which a mesh is simplified: the YCB banana (16,384) then decomposes equally well in 0.6 s, not 4.3 s."""
 
 ALLOWED = 0.005
-"""Distance of the simplified surface from the mesh, as a share of the longest side: a tenth of what hulls have."""
+"""Largest deviation of a simplified mesh, relative to its longest side: a tenth of the deviation of its hulls."""
 
 SAMPLES = 20_000
 """Points of the original surface on which the distance is measured."""
 
 
 def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tuple[Array, Faces, float]:
-    """A mesh of about ``enough`` triangles, or of as many more as it needs, and how far it is from the original [m].
+    """Return a mesh simplified to about ``enough`` triangles, or more if needed, and its deviation [m].
 
-    The mesh itself where it has no more, or where none with fewer triangles is near enough.
+    The mesh is returned unchanged if it has no more triangles, or if no simplification is accurate enough.
     """
     if len(faces) <= enough:
         return vertices, faces, 0.0

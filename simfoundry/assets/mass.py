@@ -69,15 +69,15 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 def revolution(profile: Array) -> SolidMoments:
-    """The solid that a closed polygon of (radius, height) [m], shape (n, 2), makes when it is turned about z.
+    """Return the solid of revolution of a closed polygon of (radius, height) [m], shape (n, 2), about z.
 
-    By Pappus and Guldin the volume is the area times the path of its centroid, 2 pi times the integral of the radius
-    over the polygon; the moments are integrals of the same kind. Along an edge their integrands are polynomials of at
-    most degree 4, so that the sum over the edges is exact.
+    By the theorem of Pappus and Guldin, the volume is 2 pi times the integral of the radius over the polygon; the
+    moments are integrals of the same kind. Along an edge, the integrands are polynomials of at most degree 4, so the
+    sum over the edges is exact.
     """
     following = np.roll(profile, -1, axis=0)
-    share = (_NODES[:, None] + 1) / 2  # how far along each edge, shape (3, 1)
-    origin = float(profile[:, 1].mean())  # heights from nearby lose less to rounding
+    share = (_NODES[:, None] + 1) / 2  # position along each edge, shape (3, 1)
+    origin = float(profile[:, 1].mean())  # relative heights reduce rounding errors
     r = profile[:, 0] + share * (following[:, 0] - profile[:, 0])
     z = profile[:, 1] - origin + share * (following[:, 1] - profile[:, 1])
     along = math.pi * _WEIGHTS[:, None] * (following[:, 1] - profile[:, 1])  # 2 pi dz, over half the length of [-1, 1]
@@ -93,8 +93,8 @@ def revolution(profile: Array) -> SolidMoments:
 
 
 def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
-    """A closed surface as a solid, by signed tetrahedra; the volume is negative where the surface is inside out."""
-    origin = vertices.mean(axis=0)  # tetrahedra from nearby lose less to rounding
+    """Return the solid within a closed surface, by signed tetrahedra; its volume is negative if faces are inward."""
+    origin = vertices.mean(axis=0)  # a near apex of the tetrahedra reduces rounding errors
     a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
@@ -109,10 +109,10 @@ def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
 
 def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
     """Return the combined mass, center of mass, and inertia about it of parts with densities [kg/m^3]."""
-    if len(parts) == 1:  # its center is its own, to the last digit
+    if len(parts) == 1:  # keeps all digits of its center of mass
         density, solid = parts[0]
         return density * solid.volume, solid.com, density * solid.inertia
-    mass = math.fsum(d * s.volume for d, s in parts)  # what `sum` gives differs between versions of Python
+    mass = math.fsum(d * s.volume for d, s in parts)  # the result of `sum` depends on the Python version
     com = sum((d * s.volume * s.com for d, s in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for d, s in parts:

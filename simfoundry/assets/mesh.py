@@ -20,8 +20,8 @@ from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausibl
 Array = NDArray[np.float64]
 
 MAX_ENCODED = 4
-"""Textures whose PNGs are remembered, with their pixels of up to 200 MB: links of one model share a few, and to
-compress one takes half a second."""
+"""Number of PNG textures that are cached, with up to 200 MB of pixels each: links of one model share a few, and
+compressing one takes half a second."""
 
 MAX_PIXELS = 8192**2
 """Largest number of texture pixels; more take a GiB and a minute, and no simulator renders them."""
@@ -32,7 +32,7 @@ class MeshPart:
     """One geometry of a mesh file.
 
     ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3); ``uv`` shape (n, 2), v up, or None; ``texture`` a PNG
-    or None; ``rgba`` in [0, 1] or None where the file has no color.
+    or None; ``rgba`` in [0, 1], or None if the file has no color.
     """
 
     vertices: Array
@@ -43,9 +43,9 @@ class MeshPart:
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
-    """Return the geometries of a mesh file in meters, z up (glTF files are y up by their standard and are turned).
+    """Return the geometries of a mesh file in meters, z up (glTF files, which are y up by their standard, are rotated).
 
-    Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
+    Raises :class:`MeshError` for files without usable triangles or of an implausible size.
     """
     parts = read_parts(path, scale)
     wrong = implausible_size(path.name, extent(parts), scale)
@@ -60,15 +60,15 @@ def extent(parts: tuple[MeshPart, ...]) -> float:
 
 
 def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
-    """Read a mesh as :func:`read_mesh` does, of any size.
+    """Return the geometries of a mesh file of any size; see :func:`read_mesh`.
 
-    ``scale`` may differ along the axes of the file, and mirror: the faces then are turned outward again.
+    ``scale`` may differ along the axes of the file, and mirror them; faces remain outward.
     """
     import trimesh
 
     check_counts(path)
     try:
-        with np.errstate(all="ignore"):  # of numbers that are none, which are found below
+        with np.errstate(all="ignore"):  # non-finite numbers are reported below
             scene = trimesh.load_scene(path, process=False)
             meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except Exception as error:  # trimesh does not wrap the exceptions of its parsers
@@ -87,14 +87,14 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
 
 def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> MeshPart:
     y_up = path.suffix.lower() in (".glb", ".gltf")
-    used, faces = np.unique(mesh.faces, return_inverse=True)  # stray points are no part of the surface
+    used, faces = np.unique(mesh.faces, return_inverse=True)  # points without faces do not belong to the surface
     if np.prod(np.broadcast_to(scale, 3)) < 0:
         faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
     vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(path.name, mesh)
-    if rgba is not None and y_up:  # glTF writes its colors linear, everything else means sRGB
+    if rgba is not None and y_up:  # glTF colors are linear, those of other formats sRGB
         rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
     return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
@@ -106,7 +106,7 @@ def srgb_of_linear(linear: float) -> float:
 
 
 def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
-    """Texture coordinates, PNG and color of a trimesh mesh; a texture is multiplied by the color."""
+    """Return texture coordinates, PNG and color of a trimesh mesh; the texture is multiplied by the color."""
     visual = mesh.visual
     if visual.kind == "texture":
         material, uv = visual.material, getattr(visual, "uv", None)
@@ -195,14 +195,14 @@ STL_HEAD, STL_FACE = 84, 50
 """Bytes of a binary STL before its triangles, and of each (the format has 80 of comment, 4 of count, 50 a facet)."""
 
 PLY_HEAD = 100_000
-"""Bytes in which the head of a PLY ends: splats with all harmonics need 2 kB."""
+"""Largest header of a PLY [bytes]: splats with all harmonics need 2 kB."""
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\S+)", re.MULTILINE)
 GLB_TRIANGLES = 4
-"""The mode of a primitive that is a list of triangles; it is also the default (glTF 2.0, 3.7.2.1)."""
+"""Mode of a primitive that is a list of triangles, which is the default (glTF 2.0, 3.7.2.1)."""
 
 
 def check_counts(path: Path) -> None:
-    """Raise :class:`MeshError` for a mesh file with more bytes, triangles or points than are read.
+    """Raise :class:`MeshError` for a mesh file with too many bytes, triangles or points.
 
     Damaged files are accepted here; the mesh reader reports them.
     """
@@ -250,7 +250,7 @@ def _ply(path: Path) -> tuple[int, int]:
 
 
 def _glb(path: Path) -> tuple[int, int]:
-    """The triangles and the points of all primitives, as often as nodes show them."""
+    """Return the numbers of triangles and points of all primitives, once for each node that shows them."""
     try:
         with path.open("rb") as stream:
             head = stream.read(20)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from simfoundry.assets.mass import SolidMoments
 
 NEARLY_CONVEX = 0.90
-"""A mesh that fills this share of its hull collides as its hull, or as a primitive."""
+"""Share of its hull that a mesh must fill to collide as its hull or as a primitive."""
 
 VERSION = "mesh facts 2"
 """Version of the measurements; part of the cache key."""
@@ -41,12 +41,12 @@ ZERO_MOMENTS: Moments = (0.0,) * 9
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """A mesh in the units of its file, z up.
+    """Measurements of a mesh in the units of its file, z up.
 
-    ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
-    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at most 64
-    corners and the triangles ``hull_faces``, and none where the mesh is flat. ``moments`` and ``hull_moments`` are
-    the centers of mass and the inertias about them, of density 1.
+    ``size`` is the longest side of its bounds; ``triangles`` is their number, ``gaps`` the number of edges with a face
+    on only one side; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at
+    most 64 corners and the triangles ``hull_faces``, or none if the mesh is flat. ``moments`` and ``hull_moments`` are
+    the centers of mass and the inertias about them, at density 1.
     """
 
     size: float
@@ -65,7 +65,7 @@ class MeshFacts:
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> SolidMoments:
-        """The solid of density 1 of the mesh, or of its hull, read with a scale."""
+        """Return the moments of the mesh, or of its hull, at a scale and density 1."""
         import numpy as np
 
         from simfoundry.assets.mass import SolidMoments
@@ -76,9 +76,9 @@ class MeshFacts:
         return SolidMoments(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
-        """Return the fault that lowering finds in the file ``name``, read with ``scale``, as a body of these fields.
+        """Return the error with which a body with these fields, scaled by ``scale``, cannot be lowered, or None.
 
-        Where the inertia of the body is given, ``solid`` is `given`: the mesh need not be closed.
+        If the inertia of the body is given, ``solid`` is `given`, and the mesh need not be closed.
         """
         wrong = implausible_size(name, self.size * scale, scale)
         if wrong is None and solid == "exact":
@@ -106,7 +106,7 @@ def _unreadable(path: Path, error: OSError) -> MeshError:
 
 @lru_cache(maxsize=4096)
 def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
-    """The facts of a file of this size [B], changed at this time [ns]; many objects share one mesh."""
+    """Return the facts of a file with a size [bytes] and modification time [ns]; many objects share one mesh."""
     size, _ = version
     if size > MAX_BYTES:
         raise too_large(path.name, size)
@@ -123,7 +123,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
 
 
 def file_digest(path: Path) -> str:
-    """Return the digest of a file's bytes and of the suffix that decides how they are read."""
+    """Return the digest of a file's bytes and of the suffix that determines its reader."""
     import hashlib
 
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
@@ -134,7 +134,7 @@ def file_digest(path: Path) -> str:
 
 
 def _read(stored: bytes) -> MeshFacts | None:
-    """The stored facts; None where the entry is damaged, so that they are measured again."""
+    """Return the facts in a cache entry; None if it is damaged and must be computed again."""
     try:
         data = json.loads(stored)
         hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
@@ -167,7 +167,7 @@ def measure(path: Path) -> MeshFacts:
         corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
         hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
     except MeshError:
-        pass  # flat or a point: it has no hull, and the finding is that of its volume
+        pass  # coplanar points have no hull; the finding about the missing volume reports this
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
     return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 

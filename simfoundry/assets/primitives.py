@@ -19,7 +19,7 @@ DIRECTIONS = 2000
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """A solid in the frame of a mesh.
+    """Solid that replaces a mesh, in the frame of the mesh.
 
     ``size`` [m] are the full extents of a `box`, radius and height of a `cylinder` along its z, or the radius of a
     `sphere`; ``rotation`` (3, 3) has its axes as columns, ``center`` [m] is its middle.
@@ -31,7 +31,7 @@ class Primitive:
     center: Array
 
     def support(self, directions: Array) -> Array:
-        """The greatest coordinate [m] along each of n unit vectors, shape (n,)."""
+        """Return the greatest coordinate [m] along each of n unit vectors, shape (n,)."""
         local = directions @ self.rotation
         middle = directions @ self.center
         if self.kind == "box":
@@ -42,7 +42,7 @@ class Primitive:
         return np.asarray(middle + radius * np.hypot(local[:, 0], local[:, 1]) + height / 2 * np.abs(local[:, 2]))
 
     def corners(self, sides: int = 64) -> Array:
-        """Points on its surface [m], shape (n, 3), whose hull is nearly the solid, or is it."""
+        """Return points on its surface [m], shape (n, 3), whose hull approximates it, or for a box equals it."""
         if self.kind == "box":
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
             local = signs * self.size
@@ -58,13 +58,13 @@ class Primitive:
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
     """Return the nearest primitive of each kind to the convex hull of points [m], shape (n, 3), up to ``within`` [m].
 
-    The distance is that of Hausdorff: of two convex bodies it is the greatest difference of their support functions.
+    This is the Hausdorff distance: for convex bodies, the greatest difference of their support functions.
     """
     directions = _directions(DIRECTIONS)
     wanted = (corners @ directions.T).max(axis=0)
     nearest: dict[str, tuple[float, Primitive]] = {}
     for candidate in _candidates(corners):
-        # On the axes of the candidate, too: there boxes and cylinders have their faces.
+        # Also along the axes of the candidate, where boxes and cylinders have their faces.
         own = np.concatenate([candidate.rotation.T, -candidate.rotation.T])
         apart = max(
             float(np.abs(candidate.support(directions) - wanted).max()),
@@ -76,7 +76,7 @@ def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
 
 
 def _candidates(corners: Array) -> Iterator[Primitive]:
-    """A sphere, and in each frame a box and a cylinder along each axis; as large as the points, on average."""
+    """Yield a sphere, and in each frame a box and three cylinders; their mean error is zero."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     yield Primitive("sphere", (_mean_radius(corners - middle, _directions(200)),), np.eye(3), middle)
     for frame in _frames(corners):
@@ -94,7 +94,7 @@ def _candidates(corners: Array) -> Iterator[Primitive]:
 
 
 def _frames(corners: Array) -> list[Array]:
-    """Right-handed frames in which a solid may lie: that of the mesh, that of its moments, that of its smallest box."""
+    """Return right-handed frames for boxes and cylinders: of the mesh, of its principal axes, of its smallest box."""
     import trimesh
 
     _, _, rows = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)
@@ -103,7 +103,7 @@ def _frames(corners: Array) -> list[Array]:
 
 
 def _mean_radius(points: Array, directions: Array) -> float:
-    """Midway between the least and the greatest extent from the origin [m], which halves the greatest error."""
+    """Return the mean of the least and greatest extent from the origin [m], which minimizes the greatest error."""
     reach = (points @ directions.T).max(axis=0)
     return float(reach.min() + reach.max()) / 2
 

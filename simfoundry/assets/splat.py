@@ -1,6 +1,6 @@
 """Read 3D Gaussian splats from PLY files of trainers, and convert the raw parameters to physical values.
 
-The file holds raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
+The file contains raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
 function, scales before the exponential, quaternions of any length, and color as spherical harmonics, channel by
 channel.
 """
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from simfoundry.assets.errors import MeshError
 
 MAX_GAUSSIANS = 5_000_000
-"""Gaussians take 250 bytes each in memory; those of a room are one million."""
+"""Largest number of Gaussians, which take 250 bytes each in memory; a room has one million."""
 
 EXPORT = "export it again from the trainer, as PLY"
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """A splat of n Gaussians, single precision, in the axes of its file.
+    """Splat of n Gaussians, single precision, in the axes of its file.
 
     ``positions`` [m], shape (n, 3); ``scales`` [m] standard deviations along their own axes, (n, 3); ``rotations`` unit
     wxyz, (n, 4); ``opacities`` in [0, 1], (n,); ``harmonics`` coefficients of red, green and blue by order, shape
@@ -77,7 +77,7 @@ _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _RESTS = (0, 9, 24, 45)
-"""Coefficients beyond the first of each channel, at degrees 0 to 3."""
+"""Numbers of coefficients beyond the first of each channel, for degrees 0 to 3."""
 
 
 def _vertices(path: Path) -> Any:
@@ -97,7 +97,7 @@ def _columns(raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def _harmonics(path: Path, raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Coefficients by order, (n, k, 3): the file has the first of each channel, then the others channel by channel."""
+    """Return coefficients by order, (n, k, 3); a file has the first of each channel, then the others by channel."""
     rest = sum(1 for name in names if name.startswith("f_rest_"))
     if rest not in _RESTS or any(f"f_rest_{k}" not in names for k in range(rest)):
         known = ", ".join(map(str, _RESTS))

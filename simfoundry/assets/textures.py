@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.scene import SceneSpec
 
 MAX_HEAD = 16 * 2**20
-"""Bytes of a mesh or material file in which names are looked for; the names of an OBJ stand before its corners."""
+"""Bytes of a mesh or material file that are searched for names; those of an OBJ come before its vertices."""
 
 _MATERIAL_FILE = re.compile(rb"^\s*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
 _COLOR_MAP = re.compile(rb"^\s*map_Kd[ \t]+(?:-\S+(?:[ \t]+[-+.\d]+)*[ \t]+)*(.+?)\s*$", re.MULTILINE)
@@ -25,7 +25,7 @@ _DAE_PICTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<")
 
 
 def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
-    """The place of each mesh that a document shows without one of its pictures, and what is wrong with that."""
+    """Yield the path and the error of each image of a document's visual meshes that cannot be used."""
     for place, reference in _meshes(spec):
         for fault in texture_faults(loaded.file(reference), loaded.root):
             yield place, fault
@@ -82,7 +82,7 @@ def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
                 if material.is_file():
                     yield from ((material, _text(name)) for name in _COLOR_MAP.findall(_head(material)))
                 else:
-                    yield path, _text(found)  # with it go the names of all pictures
+                    yield path, _text(found)  # which contains the names of all images
         case ".dae":
             names = map(_text, _DAE_PICTURE.findall(_head(path)))
             yield from ((path, name) for name in names if "." in name)  # others are ids of surfaces

@@ -123,12 +123,12 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
 
 
 def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
-    from simfoundry.frontends.registry import SUFFIXES
+    from simfoundry.frontends.registry import model_suffixes
 
     jobs = list(_jobs(files, out))
     if not jobs:
         raise CannotError(
-            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(SUFFIXES)} are read"
+            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(model_suffixes())} are read"
         )
     reports = []
     with progress_bar(as_json) as progress:
@@ -163,13 +163,14 @@ def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportRep
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
     """Return each file with the path of its document; the folder structure is preserved."""
-    from simfoundry.frontends.registry import SUFFIXES
+    from simfoundry.frontends.registry import model_suffixes
 
+    suffixes = model_suffixes()
     for path in files:
         if path.is_file():
             yield path, out / _default_name(path)
             continue
-        for source in sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()):
+        for source in sorted(p for p in path.rglob("*") if p.suffix.lower() in suffixes and p.is_file()):
             if _is_model(source):
                 yield source, out / source.relative_to(path).parent / _default_name(source)
 
@@ -187,9 +188,9 @@ def _is_model(path: Path) -> bool:
 
 def _default_name(path: Path) -> str:
     from simfoundry.frontends.importer import ASSET, SCENE, TASK
-    from simfoundry.frontends.registry import TASK_FRONTENDS
+    from simfoundry.frontends.registry import task_readers
 
-    if path.suffix.lower() in TASK_FRONTENDS:
+    if path.suffix.lower() in task_readers():
         return f"{path.stem}{TASK}"
     return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
 

@@ -24,6 +24,7 @@ from simfoundry.frontends.draft import (
     Rgba,
     plain_name,
 )
+from simfoundry.frontends.meshes import FileShelf
 from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Model
@@ -48,36 +49,6 @@ class BuiltDocuments:
     """Renamed elements: the name in the file, qualified by its body, and the name in the documents."""
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
     """Draft of each part, by the names of asset, link, and part in the documents."""
-
-
-@dataclass
-class FileShelf:
-    """Files to be written into ``folder`` (relative to ``base``), except files that are already below ``root``."""
-
-    base: Path
-    folder: str
-    root: Path | None
-    files: dict[str, bytes] = field(default_factory=dict)
-    taken: dict[int, str] = field(default_factory=dict)
-
-    def place(self, mesh: MeshDraft) -> str:
-        """Return the path of a mesh, relative to ``base``; equal files are stored once."""
-        source = None if mesh.source is None else mesh.source.resolve()
-        if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
-            return Path(os.path.relpath(source, self.base.resolve())).as_posix()
-        if id(mesh) not in self.taken:
-            self.taken[id(mesh)] = self._store(mesh.files)
-        return self.taken[id(mesh)].removeprefix("./")
-
-    def _store(self, files: dict[str, bytes]) -> str:
-        main = next(iter(files))
-        for count in range(1, 100_000):
-            place = self.folder if count == 1 else f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{count}"
-            wanted = {f"{place}/{name}": data for name, data in files.items()}
-            if all(self.files.get(name, data) == data for name, data in wanted.items()):
-                self.files |= wanted
-                return f"{place}/{main}"
-        raise AssertionError("no free name")
 
 
 def rounded(value: Any) -> Any:

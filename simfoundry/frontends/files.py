@@ -29,9 +29,6 @@ MAX_ELEMENTS = 500_000
 MAX_DEPTH = 200
 """Largest nesting depth; a chain of bodies in MJCF has one level per joint."""
 
-MAX_HEAD = 64 * 1024
-"""Bytes in which the root element of an XML file begins: it may follow a license."""
-
 
 @dataclass(eq=False)
 class Element:
@@ -122,19 +119,6 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
     if root_tag is not None and root.tag != root_tag:
         raise root.refused(f"its root is `<{root.tag}>`, not `<{root_tag}>`")
     return root
-
-
-def root_tag(path: Path) -> str:
-    """Return the tag of the root element of an XML file from its beginning; empty if it has none."""
-    tags: list[str] = []
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda tag, _: tags.append(tag)
-    try:
-        with path.open("rb") as stream:
-            parser.Parse(stream.read(MAX_HEAD), False)
-    except (expat.ExpatError, ValueError, LookupError, OSError):
-        pass  # the reader of the whole file reports this
-    return tags[0] if tags else ""
 
 
 def read_json(path: Path) -> Any:

@@ -15,7 +15,7 @@ from simfoundry.errors import OutputError
 from simfoundry.frontends.documents import BuiltDocuments, build_asset, build_scene, document_text
 from simfoundry.frontends.draft import DEFAULTS, ImportNote, ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError, refusing_faults
-from simfoundry.frontends.registry import TASK_FRONTENDS, frontend_of
+from simfoundry.frontends.registry import TaskReader, model_reader, task_readers
 from simfoundry.runtime.files import replace_folder, write_atomically, write_file
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.project import project_root
@@ -70,9 +70,8 @@ def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> Imp
     existing files would be lost. Documents are only written if they can be lowered without errors.
     """
     with refusing_faults(path):
-        if path.suffix.lower() in TASK_FRONTENDS:
-            return _import_task(path, out, options)
-        return _import_model(path, out, options)
+        read_task = task_readers().get(path.suffix.lower())
+        return _import_model(path, out, options) if read_task is None else _import_task(path, out, options, read_task)
 
 
 def _import_model(path: Path, out: Path, options: ImportOptions) -> ImportReport:
@@ -81,7 +80,7 @@ def _import_model(path: Path, out: Path, options: ImportOptions) -> ImportReport
         raise OutputError(f"{out}: the output is called NAME{SCENE} or NAME{ASSET}")
     folder = out.parent / f"{out.name.removesuffix(kind)}_files"
     _refuse_existing(options, out, folder)
-    draft = frontend_of(path).read(path, options)
+    draft = model_reader(path)(path, options)
     if kind == ASSET and len(draft.bodies) != 1:
         raise ImportRefusedError(path, f"it holds {len(draft.bodies)} bodies", hint=f"import it to NAME{SCENE}")
     if kind == ASSET and draft.bodies[0].fixed:
@@ -110,8 +109,7 @@ def _refuse_existing(options: ImportOptions, *places: Path) -> None:
             raise OutputError(f"{place} exists; write elsewhere, or replace it with --force")
 
 
-def _import_task(path: Path, out: Path, options: ImportOptions) -> ImportReport:
-    """Import a task of OmniGibson, LIBERO or BEHAVIOR."""
+def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskReader) -> ImportReport:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load, load_kind
@@ -125,7 +123,7 @@ def _import_task(path: Path, out: Path, options: ImportOptions) -> ImportReport:
     loaded = load_kind(options.scene, "scene/1")
     scene = lower(loaded, Cache.default(), fetch=False)
     assert isinstance(loaded.spec, SceneSpec)
-    spec, draft = TASK_FRONTENDS[path.suffix.lower()](path, loaded.spec, scene, out, options)
+    spec, draft = read_task(path, loaded.spec, scene, out, options)
     text = document_text(spec)
     out.parent.mkdir(parents=True, exist_ok=True)
     trial = out.parent / f".{out.name.removesuffix(TASK)}.import{TASK}"

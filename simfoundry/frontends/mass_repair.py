@@ -245,6 +245,15 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
         _assume_ball(draft, link, reason, detail)
 
 
+def inertia_of_moments(moments: Array, axes: Array, noise: float) -> Array:
+    """Return the inertia (3, 3) of principal moments (3,) along the columns of ``axes`` (3, 3).
+
+    Elements below the fraction ``noise`` of the trace are rounding errors of the axes and become zero.
+    """
+    inertia = axes @ np.diag(moments) @ axes.T
+    return np.where(np.abs(inertia) < noise * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
+
+
 def _assume_ball(draft: ModelDraft, link: LinkDraft, reason: str, detail: str = "") -> None:
     assert link.mass is not None
     link.com = np.zeros(3) if link.com is None else link.com

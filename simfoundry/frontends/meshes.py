@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,6 +48,36 @@ def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
     if path.suffix.lower() == ".obj":
         _add_materials(files, path, search)
     return MeshDraft(files, x, path if list(files) == [path.name] or len(files) > 1 else None)
+
+
+@dataclass
+class FileShelf:
+    """Files to be written into ``folder`` (relative to ``base``), except files that are already below ``root``."""
+
+    base: Path
+    folder: str
+    root: Path | None
+    files: dict[str, bytes] = field(default_factory=dict)
+    taken: dict[int, str] = field(default_factory=dict)
+
+    def place(self, mesh: MeshDraft) -> str:
+        """Return the path of a mesh, relative to ``base``; equal files are stored once."""
+        source = None if mesh.source is None else mesh.source.resolve()
+        if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
+            return Path(os.path.relpath(source, self.base.resolve())).as_posix()
+        if id(mesh) not in self.taken:
+            self.taken[id(mesh)] = self._store(mesh.files)
+        return self.taken[id(mesh)].removeprefix("./")
+
+    def _store(self, files: dict[str, bytes]) -> str:
+        main = next(iter(files))
+        for count in range(1, 100_000):
+            place = self.folder if count == 1 else f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{count}"
+            wanted = {f"{place}/{name}": data for name, data in files.items()}
+            if all(self.files.get(name, data) == data for name, data in wanted.items()):
+                self.files |= wanted
+                return f"{place}/{main}"
+        raise AssertionError("no free name")
 
 
 def mesh_width(mesh: MeshDraft) -> float:

@@ -1,86 +1,83 @@
-"""Registry of frontends: the files that each supports, and the function that reads a file into a draft."""
+"""Registry of importers: the files that each supports, and the functions that read them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.frontends.draft import DEFAULTS, ImportOptions, ModelDraft
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_xml
+from simfoundry.runtime.plugins import Registry
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Scene
     from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.spec.models.task import TaskSpec
 
-TaskReader = Callable[["Path", "SceneSpec", "Scene", "Path", ImportOptions], "tuple[TaskSpec, ModelDraft]"]
-"""Function that reads a task file for a scene, given as a document and lowered, for writing to a path."""
+ModelReader = Callable[[Path, ImportOptions], ModelDraft]
+"""Function that reads a file as a draft; raises :class:`ImportRefusedError`."""
+
+TaskReader = Callable[[Path, "SceneSpec", "Scene", Path, ImportOptions], "tuple[TaskSpec, ModelDraft]"]
+"""Function that reads a task file for a scene, given as a document and lowered, to be written to a path."""
 
 
 @dataclass(frozen=True)
-class Frontend:
-    """Model format: its ``suffixes``, its reader, and a test to distinguish formats with the same suffix.
+class Importer:
+    """Importer of a format: readers of models and tasks by file suffix.
 
-    ``reader`` is the name of a function in a module that is imported on first use. The test is either the XML root
-    element, ``root_tag``, or a function of the file, ``accepts``.
+    Formats that share a suffix are distinguished by ``xml_root``, the root element of their XML files, or by a function
+    of the file, ``accepts``.
     """
 
-    name: str
-    suffixes: tuple[str, ...]
-    reader: str
-    root_tag: str | None = None
+    models: Mapping[str, ModelReader] = field(default_factory=dict)
+    tasks: Mapping[str, TaskReader] = field(default_factory=dict)
+    xml_root: str = ""
     accepts: Callable[[Path], bool] = lambda path: True
 
-    def read(self, path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-        """Read a file; raises :class:`ImportRefusedError`."""
-        draft: ModelDraft = _function(self.reader)(path, options)
-        return draft
 
-
-def _function(name: str) -> Callable[..., Any]:
-    module, _, function = name.partition(":")
-    found: Callable[..., Any] = getattr(import_module(f"simfoundry.frontends.{module}"), function)
-    return found
-
-
-def is_poses(path: Path) -> bool:
-    """Return True if a JSON file contains the poses of URDFs."""
-    return bool(_function("urdf.folder:is_poses")(path))
-
-
-FRONTENDS = (
-    Frontend("URDF", (".urdf",), "urdf.reader:read_urdf"),
-    Frontend("URDF", (".xml",), "urdf.reader:read_urdf", root_tag="robot"),
-    Frontend("MJCF", (".xml",), "mjcf.reader:read_mjcf", root_tag="mujoco"),
-    Frontend("USD", (".usd", ".usda", ".usdc", ".usdz"), "usd.reader:read_usd"),
-    Frontend("poses.json", (".json",), "urdf.folder:read_poses", accepts=is_poses),
-    Frontend("OmniGibson", (".json",), "omnigibson.scene:read_omnigibson"),
+IMPORTERS: Registry[Importer] = Registry(
+    "simfoundry.importers",
+    {name: f"simfoundry.frontends.{name}:IMPORTER" for name in ("urdf", "mjcf", "usd", "omnigibson", "bddl")},
+    Importer,
 )
-
-TASK_FRONTENDS: dict[str, TaskReader] = {
-    ".yaml": lambda *args: _function("omnigibson.task:read_task")(*args),
-    ".yml": lambda *args: _function("omnigibson.task:read_task")(*args),
-    ".bddl": lambda *args: _function("bddl.task:read_bddl_task")(*args),
-}
-"""Readers of tasks by suffix."""
-
-SUFFIXES = tuple(dict.fromkeys(suffix for frontend in FRONTENDS for suffix in frontend.suffixes))
-"""Suffixes of models."""
+"""All importers by name; the first one that accepts a file reads it."""
 
 
-def frontend_of(path: Path) -> Frontend:
-    """Return the frontend of a file; raises :class:`ImportRefusedError` if there is none."""
-    found = [frontend for frontend in FRONTENDS if path.suffix.lower() in frontend.suffixes]
+def deferred(target: str) -> Callable[..., Any]:
+    """Return a function that imports and calls ``module:function``, so that only the importer in use is loaded."""
+
+    def call(*args: Any) -> Any:
+        module, _, function = target.partition(":")
+        return getattr(import_module(module), function)(*args)
+
+    return call
+
+
+def model_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of model files."""
+    return tuple(dict.fromkeys(suffix for importer in IMPORTERS.load_all().values() for suffix in importer.models))
+
+
+def task_readers() -> dict[str, TaskReader]:
+    """Return the readers of tasks by suffix."""
+    return {suffix: read for importer in IMPORTERS.load_all().values() for suffix, read in importer.tasks.items()}
+
+
+def model_reader(path: Path) -> ModelReader:
+    """Return the function that reads a model file; raises :class:`ImportRefusedError` if there is none."""
+    suffix = path.suffix.lower()
+    found = [importer for importer in IMPORTERS.load_all().values() if suffix in importer.models]
     if not found:
-        hint = f"these are: {', '.join(SUFFIXES)}, and with --scene the tasks {', '.join(TASK_FRONTENDS)}"
-        raise ImportRefusedError(path, "files of this kind are not imported", hint=hint)
-    if any(frontend.root_tag for frontend in found):
+        known = f"these are: {', '.join(model_suffixes())}, and with --scene the tasks {', '.join(task_readers())}"
+        raise ImportRefusedError(path, "files of this kind are not imported", hint=known)
+    if suffix == ".xml":
         tag = read_xml(path).tag
-        found = [frontend for frontend in found if frontend.root_tag == tag]
+        known = ", ".join(f"`<{importer.xml_root}>`" for importer in found)
+        found = [importer for importer in found if importer.xml_root == tag]
         if not found:
-            raise ImportRefusedError(path, f"its root is `<{tag}>`", hint="URDF has `<robot>`, MJCF `<mujoco>`")
-    return next(frontend for frontend in found if frontend.accepts(path))
+            raise ImportRefusedError(path, f"its root is `<{tag}>`", hint=f"importers read files with the root {known}")
+    return next(importer for importer in found if importer.accepts(path)).models[suffix]

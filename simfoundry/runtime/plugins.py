@@ -29,6 +29,7 @@ T = TypeVar("T")
 # The entry point groups and the kind of extension in each.
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
+    "simfoundry.importers": "importer",
     "simfoundry.lints": "lint",
     "simfoundry.policies": "policy protocol",
     "simfoundry.predicates": "predicate",

@@ -11,7 +11,7 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-from simfoundry.frontends.bddl import read_problem
+from simfoundry.frontends.bddl.problem import read_problem
 from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file

@@ -1,6 +1,5 @@
-"""Import of LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
+"""Importer of LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
 
-from simfoundry.frontends.bddl.problem import BddlProblem, read_problem
-from simfoundry.frontends.bddl.task import read_bddl_task
+from simfoundry.frontends.registry import Importer, deferred
 
-__all__ = ["BddlProblem", "read_bddl_task", "read_problem"]
+IMPORTER = Importer(tasks={".bddl": deferred("simfoundry.frontends.bddl.task:read_bddl_task")})

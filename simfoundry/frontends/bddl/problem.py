@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 from math import comb
@@ -175,11 +175,6 @@ class BddlGroup:
         return self.items[0].plain if self.items and isinstance(self.items[0], BddlWord) else ""
 
     @property
-    def rest(self) -> tuple[BddlWord | BddlGroup, ...]:
-        """Return all elements except the first."""
-        return self.items[1:]
-
-    @property
     def groups(self) -> tuple[BddlGroup, ...]:
         """Return the nested groups."""
         return tuple(item for item in self.items if isinstance(item, BddlGroup))
@@ -187,7 +182,7 @@ class BddlGroup:
     @property
     def words(self) -> tuple[BddlWord, ...]:
         """Return the words except the first."""
-        return tuple(item for item in self.rest if isinstance(item, BddlWord))
+        return tuple(item for item in self.items[1:] if isinstance(item, BddlWord))
 
 
 def read_group(path: Path) -> BddlGroup:
@@ -200,8 +195,11 @@ def read_group(path: Path) -> BddlGroup:
         raise ImportRefusedError(path, "it is not UTF-8 text") from None
     open_groups: list[tuple[list[BddlWord | BddlGroup], int]] = []
     whole: BddlGroup | None = None
-    for token, line in _tokens(text):
-        if token == "(":
+    line = 1
+    for token in _TOKEN.findall(text):
+        if token[0] in "\n;":
+            line += token == "\n"
+        elif token == "(":
             open_groups.append(([], line))
             if len(open_groups) > MAX_DEPTH:
                 raise ImportRefusedError(path, f"brackets are nested deeper than {MAX_DEPTH}", line)
@@ -223,16 +221,6 @@ def read_group(path: Path) -> BddlGroup:
     if whole is None:
         raise ImportRefusedError(path, "it is empty", hint="a problem begins with `(define (problem NAME)`")
     return whole
-
-
-def _tokens(text: str) -> Iterator[tuple[str, int]]:
-    line = 1
-    for match in _TOKEN.finditer(text):
-        token = match[0]
-        if token == "\n":
-            line += 1
-        elif token[0] != ";":
-            yield token, line
 
 
 MOST_TERMS = 20_000
@@ -258,9 +246,8 @@ class ConditionReader:
         """Return one condition; None if a part of it is missing, which is then listed in ``missing``."""
         match group.head:
             case "and" | "or":
-                return self._joined(
-                    "all" if group.head == "and" else "any", [self.condition(g, scope) for g in group.groups]
-                )
+                key = "all" if group.head == "and" else "any"
+                return self._joined(key, [self.condition(g, scope) for g in group.groups])
             case "not" if len(group.groups) == 1:
                 return negated(self.condition(group.groups[0], scope))
             case "imply" if len(group.groups) == 2:
@@ -276,22 +263,22 @@ class ConditionReader:
         numbered = group.head in ("forn", "fornpairs")
         pairs = group.head in ("forpairs", "fornpairs")
         parts = list(group.groups)
-        count = self._number(parts.pop(0)) if numbered and parts else 0
-        if len(parts) != (3 if pairs else 2) or count is None:
+        number = parts.pop(0).head if numbered and parts else "0"
+        if len(parts) != (3 if pairs else 2) or not number.isdigit() or len(number) > 5:
             self._lack(group, f"`{group.head}` is not complete")
             return None
         *ranges, body = parts
         each = [self._members(r) for r in ranges]
-        if any(not names for _, names in each):
-            for part, (_, names) in zip(ranges, each, strict=True):
-                if not names:
-                    self._lack(part, "it ranges over a type that nothing has")
+        empty = [part for part, (_, names) in zip(ranges, each, strict=True) if not names]
+        for part in empty:
+            self._lack(part, "it ranges over a type that nothing has")
+        if empty:
             return None
         if not pairs:
             variable, names = each[0]
             found = [self.condition(body, {**scope, variable: name}) for name in names]
             if group.head == "forn":
-                return self._exactly(group, count, found)
+                return self._exactly(group, int(number), found)
             return self._joined("all" if group.head == "forall" else "any", found)
         (first, rows), (second, columns) = each
         table = [
@@ -299,7 +286,7 @@ class ConditionReader:
         ]
         if group.head == "fornpairs":
             cells = [table[i][j] for (i, a), (j, b) in product(enumerate(rows), enumerate(columns)) if a != b]
-            return self._exactly(group, count, cells)
+            return self._exactly(group, int(number), cells)
         return self._paired(group, table, rows, columns)
 
     def _paired(
@@ -349,9 +336,6 @@ class ConditionReader:
         if len(words) != 3 or words[1].text != "-":
             return "", ()
         return words[0].plain, self.objects.get(words[2].plain, ())
-
-    def _number(self, group: BddlGroup) -> int | None:
-        return int(group.head) if group.head.isdigit() and len(group.head) < 6 else None
 
     def _lack(self, group: BddlGroup, what: str) -> None:
         """Record a missing element once."""

@@ -31,7 +31,6 @@ BINARY = {
 }  # fmt: skip
 UNARY = {"up": "Lifted", "grasped": "Grasped"}
 OPEN, CLOSE = ("open",), ("close", "closed")
-AGENT = "agent"
 _SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
 
 

@@ -1,5 +1,5 @@
 """MJCF importer; MuJoCo itself parses and compiles the files."""
 
-from simfoundry.frontends.mjcf.reader import read_mjcf
+from simfoundry.frontends.registry import Importer, deferred
 
-__all__ = ["read_mjcf"]
+IMPORTER = Importer({".xml": deferred("simfoundry.frontends.mjcf.reader:read_mjcf")}, xml_root="mujoco")

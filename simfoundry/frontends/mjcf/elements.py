@@ -202,9 +202,8 @@ def _add_lights(source: MjcfSource) -> None:
             draft.changed(f"spotlight `{name}`", "it shines all around: a point light")
         intensity, color = split_color(light.diffuse.tolist())
         kind = "distant" if is_distant else "point"
-        draft.lights.append(
-            LightDraft(name, kind, intensity, color, tuple(light.dir.tolist()), tuple(light.pos.tolist()))
-        )
+        direction, xyz = tuple(light.dir.tolist()), tuple(light.pos.tolist())
+        draft.lights.append(LightDraft(name, kind, intensity, color, direction, xyz))
 
 
 def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:

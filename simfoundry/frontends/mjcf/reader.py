@@ -13,12 +13,12 @@ import numpy as np
 from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import Element, FileSearch, NotFoundError, missing_file, read_xml
-from simfoundry.frontends.mass_repair import feather_link, repair_masses
+from simfoundry.frontends.mass_repair import feather_link, inertia_of_moments, repair_masses
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Pose
 
 MAX_INCLUDES = 100
 """Largest number of included files, which stops infinite chains; public models include at most a tenth of it."""
@@ -110,9 +110,7 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
         if field.endswith("quat"):
             bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is no rotation"
         elif field == "jnt_axis":
-            moves = np.isin(
-                model.jnt_type, [int(kind) for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)]
-            )
+            moves = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)))
             bad, problem = bad | (moves & (np.linalg.norm(rows, axis=1) < NO_LENGTH)), "is no direction"
         if bad.any():
             number = int(np.argmax(bad))
@@ -144,18 +142,14 @@ class _MjcfReader:
         self.geoms = MjcfGeoms(self.source)
         self.free_joints: dict[str, str] = {}
         """Name of the free joint of each body."""
+        self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
-        self.taken = {kind: set(names) for kind, names in self.names.items()}
 
     def element_names(self, kind: str, count: int) -> list[str]:
         """Return unique names for the elements of a kind: their own, or the kind with a number."""
         own = [self.source.name(kind, k) for k in range(count)]
-        taken = set(own)
-        names = []
-        for k, name in enumerate(own):
-            names.append(name or free_name(f"{kind}_{k}", taken))
-            taken.add(names[-1])
-        return names
+        self.taken[kind] = set(own)
+        return [name or self.new_name(kind, f"{kind}_{k}") for k, name in enumerate(own)]
 
     def new_name(self, kind: str, wish: str) -> str:
         """Return and reserve a name based on ``wish`` for an additional link or joint."""
@@ -294,8 +288,7 @@ class _MjcfReader:
         return out
 
     def joints_of(self, body: int) -> list[int]:
-        first, count = int(self.model.body_jntadr[body]), int(self.model.body_jntnum[body])
-        return list(range(first, first + count)) if count else []
+        return [int(joint) for joint in np.flatnonzero(self.model.jnt_bodyid == body)]
 
     def body_pose(self, body: int) -> Pose:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
@@ -312,11 +305,5 @@ class _MjcfReader:
         if link.mass:
             link.com = X_LB.apply(np.array(model.body_ipos[body]))
             axes = (X_LB @ Pose.of(q=model.body_iquat[body])).rotation
-            link.inertia = _symmetric(axes @ np.diag(model.body_inertia[body]) @ axes.T)
+            link.inertia = inertia_of_moments(model.body_inertia[body], axes, NOISE)
         return link
-
-
-def _symmetric(inertia: Array) -> Array:
-    """Return the inertia without rounding noise of rotations in the off-diagonal elements."""
-    inertia = (inertia + inertia.T) / 2
-    return np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, inertia)

@@ -6,6 +6,7 @@ list, joint positions have no names, and the table is an infinite plane.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from simfoundry.frontends.draft import (
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.files import read_json
 from simfoundry.frontends.mass_repair import repair_masses
-from simfoundry.frontends.urdf import read_urdf
+from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
@@ -159,9 +160,8 @@ class _SceneReader:
             return
         s = factors[0]
         if not s > 0 or any(abs(f - s) > 1e-6 * s for f in factors):
-            raise ImportRefusedError(
-                self.path, f"`{name}` is scaled by {factors}", hint="only uniform scales can be expressed"
-            )
+            hint = "only uniform scales can be expressed"
+            raise ImportRefusedError(self.path, f"`{name}` is scaled by {factors}", hint=hint)
         self.draft.changed(f"scale of `{name}`", "its parts are scaled; its mass stays", f"{s:g}")
         for joint in body.joints:
             joint.X_PC = Pose.of(joint.X_PC.p * s, joint.X_PC.q)
@@ -233,7 +233,7 @@ def _scaled(part: PartDraft, s: float) -> PartDraft:
     part.X_LG = Pose.of(part.X_LG.p * s, part.X_LG.q)
     match part.geometry:
         case MeshDraft():
-            part.geometry = MeshDraft(part.geometry.files, part.geometry.scale * s, part.geometry.source)
+            part.geometry = replace(part.geometry, scale=part.geometry.scale * s)
         case BoxShape():
             x, y, z = (v * s for v in part.geometry.box)
             part.geometry = BoxShape(box=(x, y, z))

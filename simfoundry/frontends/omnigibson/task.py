@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from simfoundry.frontends.documents import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft, NameTable, plain_name
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.model import Scene
+from simfoundry.spec.models.expressions import texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.nodes import YamlError
@@ -84,7 +84,7 @@ class _TaskReader:
         for key, why in _DROPPED.items():
             if self.config.get(key):
                 self.draft.dropped(f"`{key}`", why)
-        for text in _texts(goal) if " in " in f" {str(instruction).lower()} " else ():
+        for text, _ in texts(goal) if " in " in f" {str(instruction).lower()} " else ():
             if text.startswith("OnTop("):
                 why = "the instruction says `in`, and the goal is met on top; taken as it stands"
                 self.draft.assumed(f"`{text}`", why)
@@ -214,13 +214,3 @@ class _TaskReader:
                 region: dict[str, Any] = {k: (p[i] - half[i], p[i] + half[i]) for i, k in enumerate("xy")}
                 out[name] = region | ({"yaw_deg": (-turn, turn)} if turn else {})
         return out
-
-
-def _texts(condition: Any) -> Iterator[str]:
-    """Yield the predicates of a condition."""
-    if isinstance(condition, str):
-        yield condition
-    elif isinstance(condition, dict):
-        for value in condition.values():
-            for item in value if isinstance(value, tuple) else (value,):
-                yield from _texts(item)

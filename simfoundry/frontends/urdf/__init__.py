@@ -1,5 +1,11 @@
-"""URDF importer for single files and for compiled folders."""
+"""URDF importer for single files, and for folders that SimFoundry compiled."""
 
-from simfoundry.frontends.urdf.reader import read_urdf
+from simfoundry.frontends.registry import Importer, deferred
 
-__all__ = ["read_urdf"]
+READ_URDF = deferred("simfoundry.frontends.urdf.reader:read_urdf")
+
+IMPORTER = Importer(
+    {".urdf": READ_URDF, ".xml": READ_URDF, ".json": deferred("simfoundry.frontends.urdf.folder:read_poses")},
+    xml_root="robot",
+    accepts=deferred("simfoundry.frontends.urdf.folder:is_poses"),
+)

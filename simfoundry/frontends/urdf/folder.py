@@ -34,7 +34,9 @@ SAME_PLACE_M = 1e-9
 
 
 def is_poses(path: Path) -> bool:
-    """Return True if a JSON file contains the poses of URDFs."""
+    """Return False for a JSON file that does not contain the poses of URDFs."""
+    if path.suffix.lower() != ".json":
+        return True
     data = read_json(path)
     entries = list(data.values()) if isinstance(data, dict) else []
     return bool(entries) and all(isinstance(entry, dict) and "urdf" in entry for entry in entries)

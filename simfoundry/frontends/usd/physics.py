@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.frontends.draft import UNLIMITED_SLIDE_M, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density
+from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density, inertia_of_moments
 from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.spec.models.asset import DriveSpec
@@ -57,9 +57,8 @@ def read_joint(
 ) -> UsdJoint:
     """Read a joint of a stage with units ``to_m`` [m] and ``to_kg`` [kg]; unsupported features are recorded."""
     joint = pxr.UsdPhysics.Joint(prim)
-    (parent, X_P, scale_0), (child, X_C, scale_1) = (
-        end(list(r.GetTargets())) for r in (joint.GetBody0Rel(), joint.GetBody1Rel())
-    )
+    ends = (end(list(relation.GetTargets())) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()))
+    (parent, X_P, scale_0), (child, X_C, scale_1) = ends
     X_0 = X_P @ attribute_pose(prim, joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
     X_1 = X_C @ attribute_pose(prim, joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
     path = str(prim.GetPath())
@@ -123,9 +122,7 @@ class _JointReader:
     def limit(self, turns: bool, low: float | None, high: float | None) -> None:
         """Set the type and limits of a joint with one axis."""
         joint, factor = self.joint, math.radians(1.0) if turns else self.to_m
-        low, high = (
-            None if b is None or not math.isfinite(b) or abs(b) > INFINITE else float(b) * factor for b in (low, high)
-        )
+        low, high = (None if b is None or not abs(b) <= INFINITE else float(b) * factor for b in (low, high))
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
@@ -254,7 +251,6 @@ def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
     if not diagonal.any():
         return
     R_LI = (X_LB @ attribute_pose(body.prim, None, api.GetPrincipalAxesAttr().Get())).rotation
-    inertia = R_LI @ np.diag(diagonal * unit) @ R_LI.T
-    link.inertia = np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
+    link.inertia = inertia_of_moments(diagonal * unit, R_LI, NOISE)
     if not is_given:
         link.com = X_LB.p.copy()

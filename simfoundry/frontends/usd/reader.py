@@ -20,7 +20,7 @@ from simfoundry.frontends.usd.compiled.stage import error_text
 from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
 from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_joint
 from simfoundry.frontends.usd.views import add_cameras, add_lights
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 WORLD = ""
 """Path that represents the world among the paths of bodies."""
@@ -157,9 +157,7 @@ class _UsdReader:
         rotation = u @ v
         if np.linalg.det(rotation) < 0:
             rotation, scales = rotation @ np.diag([1.0, 1.0, -1.0]), scales * (1, 1, -1)
-        out = np.eye(4)
-        out[:3, :3], out[:3, 3] = rotation, X_WP[:3, 3]
-        return Pose.from_matrix(out), scales
+        return Pose.of(X_WP[:3, 3], quat_from_matrix(rotation)), scales
 
     def owner(self, prim: Any) -> UsdBody | None:
         """Return the nearest rigid body at or above a prim."""

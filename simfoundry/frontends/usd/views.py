@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from simfoundry.backends.usd.surroundings import FULL, X_CU
 from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, ModelDraft
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
+from simfoundry.scene.model import LightType
 
 WIDTH = 640
 """Image width [px] of a camera, because USD specifies only the aspect ratio: the default for MuJoCo cameras."""
 
-LIGHTS = {
-    "DistantLight": ("distant", math.pi),
-    "SphereLight": ("point", 4 * math.pi),
-    "DomeLight": ("dome", 1.0),
-}
-"""Kind of each UsdLux light, and the intensity that fully lights a white surface (at 1 m for a point light)."""
+LIGHTS = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
+"""Kinds of UsdLux lights; :data:`FULL` has the intensity with which each fully lights a white surface."""
 
 BRIGHTEST = 20.0
 """Lights brighter than this are intended for a camera with an exposure: those in Omniverse have thousands."""
@@ -31,9 +28,7 @@ Mounts = dict[str, tuple[BodyDraft, str, Pose]]
 def _pose(X_WP: Array) -> Pose:
     """Return the frame without its scale; mirroring is removed."""
     u, _, v = np.linalg.svd(X_WP[:3, :3])
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v, X_WP[:3, 3]
-    return Pose.from_matrix(out)
+    return Pose.of(X_WP[:3, 3], quat_from_matrix(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v))
 
 
 def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
@@ -51,7 +46,7 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
             continue
         height = max(1, round(WIDTH * up / across))
         draft.assumed(f"picture size of {what}", f"none is given; {WIDTH} px wide")
-        X_WC = _pose(matrix(prim)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+        X_WC = _pose(matrix(prim)) @ X_CU
         drafted = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WC)
         if right or above:
             drafted.cx = (WIDTH - 1) / 2 - right / across * WIDTH
@@ -73,17 +68,16 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         if type_name not in LIGHTS:
             draft.dropped(f"light `{path}`", "lights here are distant, points or domes", type_name)
             continue
-        kind, full = LIGHTS[type_name]
-        light = pxr.UsdLux.LightAPI(prim)
-        strength = float(light.GetIntensityAttr().Get()) * 2 ** float(light.GetExposureAttr().Get()) / full
+        kind, light = LIGHTS[type_name], pxr.UsdLux.LightAPI(prim)
+        strength = float(light.GetIntensityAttr().Get()) * 2 ** float(light.GetExposureAttr().Get()) / FULL[kind]
         r, g, b = (min(max(float(v), 0.0), 1.0) for v in light.GetColorAttr().Get())
         X_WP = _pose(matrix(prim))
         x, y, z = X_WP.p.tolist()
         dx, dy, dz = (np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0).tolist()
-        if kind == "dome" and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
+        if kind is LightType.DOME and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
             draft.dropped(f"texture of light `{path}`", "a dome has one color here")
         if strength > BRIGHTEST:
             why = "it is for a camera with an exposure; here 1 is full light"
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
-        draft.lights.append(LightDraft(prim.GetName(), kind, strength, (r, g, b), (dx, dy, dz), (x, y, z)))
+        draft.lights.append(LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z)))

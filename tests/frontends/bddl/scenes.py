@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from simfoundry.frontends.bddl import BddlProblem
+from simfoundry.frontends.bddl.problem import BddlProblem
 from simfoundry.frontends.draft import plain_name
 
 

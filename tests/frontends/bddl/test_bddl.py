@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from simfoundry.frontends.bddl import read_problem
-from simfoundry.frontends.bddl.problem import BddlGroup, ConditionReader, read_group
+from simfoundry.frontends.bddl.problem import BddlGroup, ConditionReader, read_group, read_problem
 from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file

@@ -14,8 +14,9 @@ from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY
 from simfoundry.frontends.usd.compiled.edits import as_name, pose_data, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageNote, factored
-from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place, light_type
+from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place
 from simfoundry.frontends.usd.geoms import UsdGprims
+from simfoundry.frontends.usd.views import LIGHTS
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.yaml.write import to_data
 
@@ -130,10 +131,8 @@ def _contact(shape: Usd.Prim) -> dict[str, Any]:
         return {}
     out = {}
     for name, key in (("dynamicFriction", "friction"), ("restitution", "restitution")):
-        value, combine = (
-            prim.GetAttribute(f"physics:{name}").Get(),
-            prim.GetAttribute(f"physxMaterial:{key}CombineMode"),
-        )
+        value = prim.GetAttribute(f"physics:{name}").Get()
+        combine = prim.GetAttribute(f"physxMaterial:{key}CombineMode")
         if value is not None and (value or key == "friction"):
             out[key] = short(value**2 if combine and combine.Get() == "multiply" else value)
     return out
@@ -152,7 +151,7 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
 
 
 def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | StageNote:
-    kind = light_type(str(prim.GetTypeName()))
+    kind = LIGHTS.get(str(prim.GetTypeName()))
     if kind is None:
         message = f"a {prim.GetTypeName()} is no light of a scene"
         return StageNote(str(prim.GetPath()), message, "use a distant, sphere or dome")

@@ -61,9 +61,8 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
         handled.add((child, "at"))
         new = stated[0] if stated else old + moved
         if not stated and off:
-            yield StageNote(
-                f"{part.path}/{child}", "it was moved off its joint; what of it goes along the joint is kept"
-            )
+            message = "it was moved off its joint; only its motion along the joint is kept"
+            yield StageNote(f"{part.path}/{child}", message)
         name = relative.rpartition("/")[2]
         if abs(new - old) > STILL:
             joints[name] = _written(new, isinstance(joints.get(name), dict))
@@ -83,9 +82,8 @@ def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, boo
     X_PC_old, X_PC_new = (_at(v, parent).inverse() @ _at(v, child) for v in (part.built, part.now))
     step = X_PC_old.inverse() @ X_PC_new  # the motion in the child's frame, where the axis stands still
     values = part.built[relative]
-    axis = Pose.of(q=values.get("physics:localRot1", (1.0, 0.0, 0.0, 0.0))).apply(
-        np.eye(3)["XYZ".index(values.get("physics:axis", "X"))]
-    )
+    X_CJ = Pose.of(q=values.get("physics:localRot1", (1.0, 0.0, 0.0, 0.0)))
+    axis = X_CJ.rotation[:, "XYZ".index(values.get("physics:axis", "X"))]
     angle = step.angle_about(axis)
     along = float(step.p @ axis)
     if kind == "linear":

@@ -38,7 +38,7 @@ from simfoundry.frontends.usd.compiled.variants import variant_data
 from simfoundry.frontends.usd.compiled.views import edited_camera, edited_light
 from simfoundry.spec.change.diff.renames import Rename
 from simfoundry.spec.change.diff.renames import renamed as with_new_names
-from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call
+from simfoundry.spec.models.expressions import ExpressionError, parse_call
 
 if TYPE_CHECKING:
     from pxr import Usd
@@ -89,16 +89,11 @@ def anchors(place: Any) -> set[str]:
     return {str(place[key]).split(".")[0] for key in ANCHORS if isinstance(place.get(key), str)}
 
 
-def _call(text: Any) -> Call | None:
-    try:
-        return parse_call(text) if isinstance(text, str) else None
-    except ExpressionError:
-        return None
-
-
 def _about(text: Any, gone: Set[str]) -> bool:
-    call = _call(text)
-    return call is not None and any(arg.split(".")[0] in gone for arg in call.args)
+    try:
+        return any(arg.split(".")[0] in gone for arg in parse_call(text).args)
+    except (ExpressionError, TypeError):
+        return False
 
 
 @dataclass(frozen=True)
@@ -205,29 +200,26 @@ def _edited(part: StageMember) -> Edited:
 
 def _compiled(written: Data, members: Members) -> Data:
     """Return the document as it was compiled; deleted members are listed by name."""
+    filled = _filled(written, {key: part.spec for key, part in members.items()})
+    return {key: {n: {} if v is None else v for n, v in section.items()} if isinstance(section, dict) else section
+            for key, section in filled.items()}  # fmt: skip
+
+
+def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
+    """Return the document with the data of members, which are None in ``written``; missing ones remain None."""
     out = dict(written)
     for section, names in written.items():
-        if isinstance(names, dict) and None in names.values():
-            out[section] = {
-                n: v if v is not None else members[section, n].spec if (section, n) in members else {}
-                for n, v in names.items()
-            }
+        if isinstance(names, dict):
+            out[section] = {n: found.get((section, n)) if v is None else v for n, v in names.items()}
     return out
 
 
-def _joined(
-    written: Data,
-    edited: Mapping[tuple[str, str], Edited],
-    copies: dict[str, StageMember],
-) -> Data:
+def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dict[str, StageMember]) -> Data:
     """Return the document with the data of its members in order, followed by copies and without deleted members."""
-    out = dict(written)
-    for section, members in written.items():
-        if isinstance(members, dict) and None in members.values():
-            data_now = {
-                n: edited[section, n].data if v is None and (section, n) in edited else v for n, v in members.items()
-            }
-            out[section] = {n: v for n, v in data_now.items() if v is not None}
+    out = _filled(written, {key: each.data for key, each in edited.items()})
+    for section, members in out.items():
+        if isinstance(members, dict):
+            out[section] = {n: v for n, v in members.items() if v is not None}
     for name, part in copies.items():
         out[part.section] = {**out.get(part.section, {}), name: _edited(part).data}
     return {key: value for key, value in out.items() if value or not isinstance(written[key], dict) or not written[key]}
@@ -264,9 +256,8 @@ def _placed(
             objects[name] = {**{k: v for k, v in item.items() if k != "place"}, "pose": pose}
     if objects:
         out["objects"] = objects
-    cameras = {n: c for n, c in out.get("cameras", {}).items() if str(c.get("mount", "")).split(".")[0] not in gone}
     if "cameras" in out:
-        out["cameras"] = cameras
+        out["cameras"] = {n: c for n, c in out["cameras"].items() if str(c.get("mount", "")).split(".")[0] not in gone}
     return out
 
 
@@ -291,9 +282,9 @@ def _only_along(part: StageMember, data: Data) -> bool:
 def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
     """Write gravity into ``data`` if it was changed."""
     physics = prim.GetChild("Physics")
-    direction, magnitude = (
-        physics.GetAttribute(f"physics:gravity{name}").Get() if physics else None for name in ("Direction", "Magnitude")
-    )
+    if not physics:
+        return
+    direction, magnitude = (physics.GetAttribute(f"physics:gravity{name}").Get() for name in ("Direction", "Magnitude"))
     if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
         return
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)

@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.backends.usd.source import KEY, SCOPES, contact, look, observed, plain
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import with_present_keys
 
@@ -209,9 +209,7 @@ def factored(matrix: Any) -> tuple[Pose, Array]:
     rows = m[:3, :3] / scale[:, None]
     if np.linalg.det(rows) < 0:
         scale[2], rows[2] = -scale[2], -rows[2]
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = rows.T, m[3, :3]
-    return Pose.from_matrix(out), scale
+    return Pose.of(m[3, :3], quat_from_matrix(rows.T)), scale
 
 
 def links_of(built: Values) -> list[str]:

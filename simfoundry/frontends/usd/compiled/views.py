@@ -10,6 +10,7 @@ import numpy as np
 from simfoundry.backends.usd.surroundings import FULL, HALF_PIXEL, X_CU
 from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest, short, srgb
 from simfoundry.frontends.usd.compiled.stage import StageMember, StageNote
+from simfoundry.frontends.usd.views import LIGHTS
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -73,7 +74,7 @@ def edited_light(part: StageMember) -> Edited:
     handled = {("", name) for name in names}
     built, now = part.built.get("", {}), part.now[""]
     notes = tuple(rest(part, handled))
-    kind = light_type(str(part.prim.GetTypeName()))
+    kind = LIGHTS.get(str(part.prim.GetTypeName()))
     if kind is None:
         return Edited(data, (*notes, StageNote(part.path, f"a {part.prim.GetTypeName()} is no light of a scene")))
     data["type"] = kind.value
@@ -85,12 +86,6 @@ def edited_light(part: StageMember) -> Edited:
     if has_moved(part):
         data |= light_place(kind, part.X_WP)
     return Edited(data, notes)
-
-
-def light_type(type_name: str) -> LightType | None:
-    """Return the kind of a light prim; None for unsupported kinds."""
-    kinds = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
-    return kinds.get(type_name)
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
