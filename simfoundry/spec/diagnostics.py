@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -78,6 +77,8 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     meant = _plain(_synonyms().get(sought, ""))
     if meant in plain:
         return f"did you mean `{plain[meant]}`?"
+    import difflib
+
     similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparison is slow for many names
     match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:

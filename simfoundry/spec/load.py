@@ -8,7 +8,6 @@ from pathlib import Path
 from simfoundry.spec.check.allow import sift
 from simfoundry.spec.check.documents import check
 from simfoundry.spec.check.validate import sound_part, validate
-from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.kinds import KINDS, model_of
@@ -48,7 +47,11 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     if kind is None:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding), document)
-    document, findings, bases = compose(document, kind, root)
+    findings, bases = list[Diagnostic](), list[Path]()
+    if isinstance(document.root.children, dict) and "extends" in document.root.children:
+        from simfoundry.spec.compose import compose
+
+        document, findings, bases = compose(document, kind, root)
     if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
         return Loaded(path, root, None, tuple(findings), document, tuple(bases))
     return checked(Loaded(path, root, None, tuple(findings), document, tuple(bases)), kind, known)

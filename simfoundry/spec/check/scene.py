@@ -12,7 +12,6 @@ from simfoundry.spec.check.plausible import volume
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
-from simfoundry.spec.models.robot_file import find_robot, read_robot_file, robot_names
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_of
 
@@ -136,6 +135,8 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
             if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
                 _robot_file(c, key, file, (*path, "model", key))
         return
+    from simfoundry.spec.models.robot_file import find_robot, robot_names
+
     try:
         known = find_robot(robot.model)
     except SimfoundryError as error:
@@ -151,6 +152,8 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
     """Check a robot file without opening its models."""
     if key == "file":
+        from simfoundry.spec.models.robot_file import read_robot_file
+
         file = c.loaded.file(reference)
         try:
             read_robot_file(file)

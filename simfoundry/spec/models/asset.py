@@ -32,7 +32,7 @@ class PartSpec(Model):
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose in the link's frame.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
     color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
@@ -149,7 +149,9 @@ class JointSpec(Model):
     type: JointKind = Field(description="Type of motion of the child in the parent.")
     parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of the child's frame in the parent's at position zero.")
+    pose: PoseSpec = Field(
+        PoseSpec.model_construct(), description="Pose of the child's frame in the parent's at position zero."
+    )
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: tuple[Number, Number] | None = Field(
         None, description="Minimum and maximum position of a prismatic joint [m]."

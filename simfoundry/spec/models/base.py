@@ -86,7 +86,10 @@ class FormerKey:
 
 
 class Model(BaseModel):
-    """A part of a document: immutable, strict, no unknown keys."""
+    """A part of a document: immutable, strict, no unknown keys.
+
+    A field whose default is a model writes it as ``model_construct()``: validation would compile its schema at import.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 

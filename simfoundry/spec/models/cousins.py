@@ -94,7 +94,9 @@ class ObjectAxis(Model):
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    models: ObjectModels = Field(ObjectModels(), description="Models that generate variants if a source is `model`.")
+    models: ObjectModels = Field(
+        ObjectModels.model_construct(), description="Models that generate variants if a source is `model`."
+    )
 
 
 class DistractorAxis(Model):
@@ -111,9 +113,9 @@ class DistractorAxis(Model):
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Categories to leave out."
     )
-    mass: ValueRange = Field(ValueRange(), description="Mass [kg].")
-    volume: ValueRange = Field(ValueRange(), description="Volume [m^3].")
-    density: ValueRange = Field(ValueRange(), description="Density [kg/m^3].")
+    mass: ValueRange = Field(ValueRange.model_construct(), description="Mass [kg].")
+    volume: ValueRange = Field(ValueRange.model_construct(), description="Volume [m^3].")
+    density: ValueRange = Field(ValueRange.model_construct(), description="Density [kg/m^3].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

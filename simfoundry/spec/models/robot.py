@@ -61,7 +61,7 @@ class RobotSpec(Model):
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
     ] = Field(description="A known robot, such as `franka_robotiq`, or the files of another one.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),

@@ -95,7 +95,7 @@ class ObjectSpec(BodySpec):
     category: Name | None = Field(None, description="Category, such as `mug`; default: its name.")
     labels: Labels = Field((), description="Labels for vision systems, the most specific first; default: its category.")
     fixed: bool = Field(False, description="Welded to the world.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of its frame in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its frame in the world.")
     place: Place | None = Field(None, description="Placement from which its pose is computed, instead of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
@@ -163,7 +163,7 @@ class BackgroundSpec(Model):
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the world.")
     scale: Positive = Field(1.0, description="Factor from the units of the file to meters.")
 
     @model_validator(mode="after")
