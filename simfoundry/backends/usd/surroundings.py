@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from simfoundry.assets.splat import Gaussians
 from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.prims import Prim, vec3
 from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, linear_from_srgb, new_crate
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.model import Background, Camera, Light, LightType
+from simfoundry.scene.model import Background, Camera, Light, LightType, Splat
 
 SPLAT = "assets/background.usdc"
 """The path of the splat's layer in the artifact."""
@@ -31,7 +30,7 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
         field.references.append(f"@./{SPLAT}@")
 
 
-def splat_layer(splat: Gaussians) -> bytes:
+def splat_layer(splat: Splat) -> bytes:
     """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics by order."""
     from pxr import Sdf, Vt
 
