@@ -90,9 +90,8 @@ def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
             found.append(Reason("bad_goal", f"{error}{hint}"))
             continue
         if call.predicate not in (*ALLOWED, "Released"):
-            found.append(
-                Reason("not_allowed", f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}")
-            )
+            text = f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}"
+            found.append(Reason("not_allowed", text))
         found += _unknown(call, setting)
     return tuple({reason.text: reason for reason in found}.values())
 
