@@ -137,7 +137,8 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
     """Check that every surface, visual and collision, is closed and encloses a volume."""
     for link in item.links:
-        for piece in (*link.colliders, *link.visuals):
+        pieces: tuple[Collider | Visual, ...] = (*link.colliders, *link.visuals)
+        for piece in pieces:
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)
             gaps = open_edges(faces)

@@ -324,8 +324,6 @@ def _text(kind: str, standard: bool) -> str:
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
-Schema = dict[str, Any]
-
 OVERLAY = "Overlay"
 """Prefix of the names of the relaxed parts."""
 

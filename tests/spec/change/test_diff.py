@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.change.diff.changes import (
     BESIDE,
-    REFERENCES,
     SECTIONS,
     Add,
     Remove,
@@ -28,6 +27,7 @@ from simfoundry.spec.change.diff.changes import (
 from simfoundry.spec.change.diff.words import describe
 from simfoundry.spec.models.base import Model, Name, PartName
 from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.types import REFERENCES
 from simfoundry.spec.yaml.write import to_data
 from tests.spec.change.changing import ChangeError, apply, from_json
 from tests.spec.strategies import ASSETS, SCENES

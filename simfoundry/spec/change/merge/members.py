@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -138,7 +138,7 @@ def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iter
         yield from (name for name in place if name in pose)
 
 
-def _several(group: tuple[str, ...], keys: Mapping[str, YamlTree] | frozenset[str]) -> bool:
+def _several(group: tuple[str, ...], keys: Container[str]) -> bool:
     return sum(key in keys for key in group) > 1
 
 
