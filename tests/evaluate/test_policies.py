@@ -91,7 +91,7 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
     assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".json", []))
     assert "not finite" in refused(stored(tmp_path, ".npy", ACTIONS * np.nan))
-    assert "actions of `torque`" in refused(stored(tmp_path, ".npz", action_space="torque"))
+    assert "unknown action space `torque`" in refused(stored(tmp_path, ".npz", action_space="torque"))
     for content in (b"", b"PK\x03\x04", pickle.dumps([1]), b"\x93NUMPY\x01\x00\xff\xff", b"[", b"{}"):
         for suffix in (".npy", ".npz", ".json"):
             (tmp_path / f"bad{suffix}").write_bytes(content)

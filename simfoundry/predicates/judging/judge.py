@@ -19,7 +19,7 @@ from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 
 Explain = Callable[[float, bool], str]
 """Function that explains a term, given its value and whether it holds; the explanation may be empty."""
@@ -136,7 +136,7 @@ class Judge:
     """Evaluates conditions on states of one scene; preprocessed scene data is reused.
 
     A condition is text such as ``"OnTop(cup, desk)"``, or a combination of conditions with ``all``, ``any`` and
-    ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.expressions`.
+    ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.predicate`.
 
     If ``bounds_first`` is set, the values are the same, but margins and explanations may contain bounds instead of
     distances, and MuJoCo is only loaded if the bounds are inconclusive.
