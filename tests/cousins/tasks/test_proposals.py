@@ -55,7 +55,7 @@ EXPECTED = {
     "move_the_desk": ("fixed", "`desk` is fixed"),
     "two_markers": ("bad_goal", "has 2 members"),
     "sneaky": ("bad_goal", "is not of the form"),
-    "part 12 of the answer": ("unreadable", "not valid YAML"),
+    "part 12 of the response": ("unreadable", "not valid YAML"),
     "empty_handed": ("bad_goal", "has 0"),
     "eraser_away": (),
 }
