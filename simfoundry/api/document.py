@@ -9,15 +9,15 @@ from pydantic import TypeAdapter, ValidationError
 
 from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.change.diff.renames import Rename, copied, renamed
-from simfoundry.spec.change.edit_text import ABSENT, edit_text, own_data
+from simfoundry.spec.change.diff.changes import Rename, copied, renamed
+from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.data import to_data
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
 class EditableDocument(DocumentEntry):

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeV
 from pydantic import TypeAdapter
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.diff.renames import copied
-from simfoundry.spec.change.edit_text import ABSENT
+from simfoundry.spec.change.diff.changes import copied
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.data import to_data
+from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
     from simfoundry.api.document import EditableDocument
@@ -75,11 +75,23 @@ class DocumentEntry:
             super().__setattr__(name, value)
 
 
-class ValueField(Generic[Got, Given]):
-    """Field of an entry: the written value, else its default; None and ``del`` remove the written value."""
+class _Field(Generic[Given]):
+    """Field of an entry that can be written and removed."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
+
+    def __set__(self, entry: DocumentEntry, value: Given) -> None:
+        """Write a value; None removes it. Raises :class:`SpecError` if the value is invalid."""
+        entry.update({self.name: value})
+
+    def __delete__(self, entry: DocumentEntry) -> None:
+        """Remove the written value."""
+        entry.update({self.name: None})
+
+
+class ValueField(_Field[Given], Generic[Got, Given]):
+    """Field of an entry: the written value, else its default; None and ``del`` remove the written value."""
 
     @overload
     def __get__(self, entry: None, owner: type) -> Self:
@@ -99,26 +111,15 @@ class ValueField(Generic[Got, Given]):
         typed: Got = TypeAdapter(field_type(entry._model, self.name)).validate_python(value, strict=True)
         return typed
 
-    def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Write a value; raises :class:`SpecError` if it is invalid."""
-        entry.update({self.name: value})
-
-    def __delete__(self, entry: DocumentEntry) -> None:
-        """Remove the written value."""
-        entry.update({self.name: None})
-
 
 E = TypeVar("E", bound=DocumentEntry)
 
 
-class EntryField(Generic[E]):
+class EntryField(_Field[E | Model | Mapping[str, object] | None], Generic[E]):
     """Field that is itself an entry, such as a pose: set its fields one by one, or all with a mapping."""
 
     def __init__(self, kind: type[E]) -> None:
         self.kind = kind
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
 
     @overload
     def __get__(self, entry: None, owner: type) -> Self: ...
@@ -128,14 +129,6 @@ class EntryField(Generic[E]):
         """Return the entry."""
         return self if entry is None else self.kind(entry._document, (*entry._at, self.name))
 
-    def __set__(self, entry: DocumentEntry, value: E | Model | Mapping[str, object] | None) -> None:
-        """Replace the whole entry."""
-        entry.update({self.name: value})
-
-    def __delete__(self, entry: DocumentEntry) -> None:
-        """Remove the entry."""
-        entry.update({self.name: None})
-
 
 class EntryMapping(MutableMapping[str, E]):
     """Members of a section by name, such as ``scene.objects``."""
@@ -144,16 +137,14 @@ class EntryMapping(MutableMapping[str, E]):
         self._document, self._at, self._kind = document, path, kind
 
     def __getitem__(self, name: str) -> E:
-        if name not in self._names():
-            raise UnknownNameError(self._unknown(name))
+        self._require(name)
         return self._kind(self._document, (*self._at, name))
 
     def __setitem__(self, name: str, value: E | Model | Mapping[str, object]) -> None:
         self._document._set((*self._at, name), to_plain(value))
 
     def __delitem__(self, name: str) -> None:
-        if name not in self._names():
-            raise UnknownNameError(self._unknown(name))
+        self._require(name)
         self._document._delete((*self._at, name))
 
     def __iter__(self) -> Iterator[str]:
@@ -174,8 +165,7 @@ class EntryMapping(MutableMapping[str, E]):
 
     def rename(self, old: str, new: str) -> E:
         """Rename a member, also in relations, placements and other references."""
-        if old not in self._names():
-            raise UnknownNameError(self._unknown(old))
+        self._require(old)
         if new in self._names():
             raise SimfoundryError(f"there is {self._a_noun} `{new}` already; choose another name")
         self._document._rename(self._at, old, new)
@@ -193,8 +183,9 @@ class EntryMapping(MutableMapping[str, E]):
     def _a_noun(self) -> str:
         return f"an {self._noun}" if self._noun[0] in "aeiou" else f"a {self._noun}"
 
-    def _unknown(self, name: str) -> str:
-        return f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, self._names())}"
+    def _require(self, name: str) -> None:
+        if name not in (names := self._names()):
+            raise UnknownNameError(f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, names)}")
 
 
 class ExpressionList(MutableSequence[str]):

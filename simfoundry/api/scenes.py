@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, place, robot, scene
+from simfoundry.spec.models import base, robot, scene
 
 if TYPE_CHECKING:
     import mujoco
@@ -93,7 +93,7 @@ class ObjectEntry(DocumentEntry):
     collision = ValueField[str, base.Collision | None]()
     solid = ValueField[str, base.Solid | None]()
     pose = EntryField(PoseEntry)
-    place = ValueField[place.Place | None, place.Place | Values | None]()
+    place = ValueField[scene.Place | None, scene.Place | Values | None]()
     joints = ValueField[Mapping[str, object], Values | None]()
     variant = Text()
     variants = ValueField[Mapping[str, scene.VariantSpec], Values | None]()

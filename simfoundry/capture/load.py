@@ -13,7 +13,7 @@ from simfoundry.capture.frame import FARTHEST, NEAREST, UNITS, Frame
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
 # Largest number of values of an array: Pillow's own limit of pixels against decompression bombs.

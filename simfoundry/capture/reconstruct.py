@@ -32,7 +32,7 @@ from simfoundry.capture.support_object import beneath, support_mesh, thickness
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
 from simfoundry.spec.models.base import Origin
-from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import LightSpec, SceneSpec
 
 Progress = Callable[[str, float], None]

@@ -22,8 +22,8 @@ from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, with_poses
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_capture, load_scene
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml

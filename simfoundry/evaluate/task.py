@@ -18,13 +18,12 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import Robot, mujoco_model
-from simfoundry.spec.change.start import with_starts
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import Condition, parse_call
+from simfoundry.spec.models.predicate import Condition, parse_call
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.models.task import Reset, Start, TaskSpec
+from simfoundry.spec.models.task import Reset, Start, TaskSpec, with_starts
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,17 +134,11 @@ def distances(parts: Hulls, low: Array, cell: float, shape: NDArray[np.int_]) ->
     for number in range(len(parts.radius)):
         corners, radius = parts.corners[parts.part == number], float(parts.radius[number])
         reach = radius + 2.5 * cell
-        span = [
-            slice(
-                int(np.searchsorted(axes[k], corners[:, k].min() - reach)),
-                int(np.searchsorted(axes[k], corners[:, k].max() + reach)),
-            )
-            for k in range(3)
-        ]
+        low_corner, high_corner = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+        span = tuple(slice(*np.searchsorted(axes[k], (low_corner[k], high_corner[k]))) for k in range(3))
         points = np.stack(np.meshgrid(*(axes[k][span[k]] for k in range(3)), indexing="ij"), axis=-1)
         found = outside_part(parts, number, points.reshape(-1, 3)).reshape(points.shape[:3])
-        block = (span[0], span[1], span[2])
-        out[block] = np.minimum(out[block], found)
+        out[span] = np.minimum(out[span], found)
     return out
 
 

@@ -8,8 +8,7 @@ from typing import Any
 from simfoundry.lint.draft import StartJudge, drafted
 from simfoundry.lint.lints import Lint, Path_, Subject, warning
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Call, Effect, parse_call, parts, texts
 
 
 def pending(subject: Subject) -> list[tuple[Call, Path_]]:

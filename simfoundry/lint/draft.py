@@ -26,14 +26,13 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.change.start import with_starts
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import FARTHEST
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.models.task import Start, TaskSpec
+from simfoundry.spec.models.task import Start, TaskSpec, with_starts
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.runtime.plugins import Registry
-from simfoundry.spec.check.allow import sift, unused
+from simfoundry.spec.check.documents import sift, unused
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import Call
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.predicate import Call
 
 if TYPE_CHECKING:
     from simfoundry.lint.draft import DraftScene

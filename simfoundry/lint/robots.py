@@ -15,8 +15,7 @@ from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds, solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import Call
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Call, Effect
 from simfoundry.spec.models.robot import RobotSpec
 
 SLACK = 0.001

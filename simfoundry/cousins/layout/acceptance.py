@@ -16,7 +16,7 @@ from simfoundry.evaluate.resets.placement import rounded
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Condition, parse_call, parts
+from simfoundry.spec.models.predicate import Condition, parse_call, parts
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import is_ball, is_confined, run_to_rest, tilt_deg
 

@@ -9,20 +9,23 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Placeable
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, drop, largest_share
 from simfoundry.cousins.layout.supports import Support, hull
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
+from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.predicates.relative import AXES, viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
-from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.spec.models.predicate import parse_call, texts
 
 DOUBTED = 2
 """Multiple of :data:`DROPS` to try before rejecting an object that can only partly fit. If one in fifty drops succeeds,
@@ -90,7 +93,11 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
         return ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
-        reasons += _contradiction(sets[name], name, words, axis.relations_per_object)
+        several = min(axis.relations_per_object, len(set(words)))
+        if len(sets[name][0]) < several:
+            listed = ", ".join(dict.fromkeys(words))
+            text = f"no {several} of {listed} can hold for `{name}` at once, as required by `relations_per_object`"
+            reasons.append(Reason("contradiction", text, {"together": several}))
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
     if support is not None and not reasons:
@@ -105,16 +112,18 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
 
 def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
     names = {o.name for o in twin.scene.objects}
+
+    def hint(name: str) -> str:
+        return nearest(name, names) or f"available objects: {', '.join(sorted(names))}"
+
     anchor = anchor_of(twin, axis)
     if not anchor:
         yield Reason("no_anchor", "there is no anchor, and none can be derived from a task's goal; specify `anchor`")
     elif anchor not in names:
-        hint = nearest(anchor, names) or f"available objects: {', '.join(sorted(names))}"
-        yield Reason("no_anchor", f"the anchor `{anchor}` does not exist; {hint}")
+        yield Reason("no_anchor", f"the anchor `{anchor}` does not exist; {hint(anchor)}")
     for name, words in axis.objects.items():
         if name not in names:
-            hint = nearest(name, names) or f"available objects: {', '.join(sorted(names))}"
-            yield Reason("no_object", f"`{name}` does not exist; {hint}")
+            yield Reason("no_object", f"`{name}` does not exist; {hint(name)}")
         elif name == anchor:
             yield Reason("is_anchor", f"`{name}` is the anchor, so it cannot move")
         elif twin.scene.object(name).fixed:
@@ -221,10 +230,6 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
 
 def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[Reason]:
     """Yield a reason if too little of an object fits into the anchor's cavity in any orientation."""
-    from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, largest_share
-    from simfoundry.geometry.cavity import cavity
-    from simfoundry.predicates.judging.bodies import Bodies
-
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]
     forms = [form for form in bodies[name].forms if form is not None]
@@ -245,25 +250,12 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
     """Return whether at least one of many drops places an object that does not fit completely inside the anchor."""
-    from simfoundry.cousins.layout.arrangement import Arrangement
-    from simfoundry.cousins.layout.drop_sampling import drop
-
     rng = np.random.default_rng(0)  # the result must depend on the request only, not on a candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
         if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
             return True
     return False
-
-
-def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[str, ...], together: int) -> list[Reason]:
-    """Return a reason if no sufficiently large set of the requested predicates can hold at once, or an empty list."""
-    several = min(together, len(set(words)))
-    if len(sets[0]) >= several:
-        return []
-    listed = ", ".join(dict.fromkeys(words))
-    text = f"no {several} of {listed} can hold for `{name}` at once, as required by `relations_per_object`"
-    return [Reason("contradiction", text, {"together": float(several)})]
 
 
 SIDES = {

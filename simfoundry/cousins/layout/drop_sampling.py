@@ -18,7 +18,7 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 
 EDGE = 0.003
 """An object rests on an edge if its lowest point is closer to it than this [m]; dropped objects keep a gap of 1 mm."""
@@ -49,14 +49,11 @@ def drop(
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
-    shape = twin.shape(anchor, X_WA)
-    spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
+    lowest, highest = twin.box(anchor, X_WA)
     low, high = (math.radians(v) for v in axis.yaw_deg)
     others = [name for name in table.solid if name != anchor]
-    counts, why = (
-        {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0},
-        "",
-    )
+    why = ""
+    counts = {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0}
     levels = () if "Inside" in words else twin[anchor].levels if X_WA is twin.state.poses[anchor] else ()
     areas = np.array([level.area for level in levels])
     ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
@@ -64,7 +61,7 @@ def drop(
         thing = ways[0] if k < DROPS // 2 else ways[k % len(ways)]
         table.tries += 1
         x, y, turn = rng.random(3)
-        x, y = spans[:, 0] + np.array([x, y]) * (spans[:, 1] - spans[:, 0])
+        x, y = lowest[:2] + np.array([x, y]) * (highest - lowest)[:2]
         yaw = low + turn * (high - low)
         level = levels[int(rng.choice(len(levels), p=areas / areas.sum()))] if len(levels) > 1 else None
         try:

@@ -23,7 +23,7 @@ from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.models.expressions import Condition, parse_call, texts
+from simfoundry.spec.models.predicate import Condition, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import supporters

@@ -26,13 +26,11 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState, pose, pose_spec
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.files import located
+from simfoundry.spec.files import Loaded, located
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.cousins import CousinsSpec
-from simfoundry.spec.models.place import DEPTHS, SIDES, Place
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.scene import DEPTHS, SIDES, Place, SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.tree import plain_tree

@@ -23,9 +23,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError, nearest
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import DistractorAxis, ValueRange
 
 VERSION = "library facts 2"

@@ -29,9 +29,8 @@ from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.validate import validate
-from simfoundry.spec.files import ASSET_SUFFIX, located
+from simfoundry.spec.files import ASSET_SUFFIX, Loaded, located
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec

@@ -16,7 +16,7 @@ from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call, texts
+from simfoundry.spec.models.predicate import Call, ExpressionError, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 
 MOST_PREDICATES = 16
@@ -97,9 +97,8 @@ def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
             found.append(Reason("bad_goal", f"{error}{hint}"))
             continue
         if call.predicate not in (*ALLOWED, "Released"):
-            found.append(
-                Reason("not_allowed", f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}")
-            )
+            text = f"`{call.predicate}` is not allowed in a goal; allowed: {', '.join(ALLOWED)}"
+            found.append(Reason("not_allowed", text))
         found += _unknown(call, setting)
     return tuple({reason.text: reason for reason in found}.values())
 

@@ -17,7 +17,7 @@ from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.predicates.relative import AXES, viewer_axis
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
+from simfoundry.spec.models.predicate import Call, parse_call, parts, texts
 
 QUARTER = math.pi / 2
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))

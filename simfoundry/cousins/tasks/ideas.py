@@ -13,7 +13,7 @@ from simfoundry.cousins.layout.supports import supports_of
 from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, objects_of
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
-from simfoundry.spec.models.expressions import Call, parts
+from simfoundry.spec.models.predicate import Call, parts
 
 TOGETHER = 3
 """Maximum number of objects to gather at one target."""
@@ -195,7 +195,9 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
             continue
         tops = [t for t in there.things if t not in (below, middle) and _fits(setting, (t,), middle)]
         if tops:
-            top = max(tops, key=lambda t: (_need(setting, t), t))
+            # The largest is the one with the largest smallest face of its bounding box.
+            sizes = {t: np.sort(np.subtract(*setting.bounds(t)[::-1])) for t in tops}
+            top = max(tops, key=lambda t: (float(np.prod(sizes[t][:2])), t))
             steps = (_step(middle, "OnTop", below), _step(top, "Inside", middle))
             yield Idea(f"stack_{top}_{middle}_{below}", tuple(s.goal for s in steps), steps, 1)
 
@@ -231,12 +233,6 @@ def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
         return bool((np.sort(own_high - own_low)[:2] <= room).all())
     taken = sum(float(np.prod(np.subtract(*setting.bounds(thing)[::-1])[:2])) for thing in things)
     return taken <= ROOM * float(np.prod(room))
-
-
-def _need(setting: TaskContext, thing: str) -> float:
-    """Return the area of the smallest face of an object's bounding box [m^2]."""
-    low, high = setting.bounds(thing)
-    return float(np.prod(np.sort(high - low)[:2]))
 
 
 def _step(thing: str, word: str, target: str) -> IdeaStep:

@@ -29,7 +29,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.robots.reach import Hand, hands_of
 from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.cousins import TaskAxis
-from simfoundry.spec.models.expressions import texts
+from simfoundry.spec.models.predicate import texts
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse

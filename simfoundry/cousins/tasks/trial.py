@@ -11,12 +11,11 @@ from simfoundry.cousins.layout.supports import Outline, Support
 from simfoundry.cousins.layout.twin import bare
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
-from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint
 from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve
 from simfoundry.scene.state import SceneState, object_at
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 from simfoundry.worlds import open_world
 
 OVERLAP = 0.002
@@ -180,11 +179,3 @@ def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> flo
         if twin.judge(f"{wanted}({owner}.{joint.name})", state).value:
             return float(end)
     return None
-
-
-def link_named(setting: TaskContext, target: str) -> str:
-    """Return the ``owner.link`` that a target refers to; if the target is an object, this is its root link."""
-    bodies = Bodies(setting.twin.scene)
-    thing = bodies.thing(target)
-    links = bodies[thing.owner].item.links
-    return f"{thing.owner}.{links[thing.links[0]].name}"

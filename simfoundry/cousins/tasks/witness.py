@@ -18,12 +18,13 @@ import numpy as np
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.candidate_poses import branches, cavity_words, levels, objects_of, places, spots, turns
 from simfoundry.cousins.tasks.context import TaskContext
-from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
+from simfoundry.cousins.tasks.trial import dropped, lost, open_end, put, rest, standing, turned
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError, Verdict
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parts
+from simfoundry.spec.models.predicate import Call, parts
 
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")
@@ -321,9 +322,9 @@ def _settled(
         tried.far = tried.far or lacks
         return None
     attempt.state = settled.state
-    for call in calls:
-        if call.predicate in ON:
-            attempt.held[name] = link_named(setting, call.args[1])
+    bodies = Bodies(setting.twin.scene)
+    for thing in (bodies.thing(call.args[1]) for call in calls if call.predicate in ON):
+        attempt.held[name] = f"{thing.owner}.{bodies[thing.owner].item.links[thing.links[0]].name}"
     return ()
 
 

@@ -17,7 +17,7 @@ from simfoundry.evaluate.task import SubtaskGoal, Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra
-from simfoundry.spec.models.expressions import Call, Condition, parse_call, parts
+from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
 
 
 class Skill(StrEnum):

@@ -42,7 +42,7 @@ from simfoundry.evaluate.task import Task
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Condition
+from simfoundry.spec.models.predicate import Condition
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 

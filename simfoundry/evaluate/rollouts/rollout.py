@@ -38,7 +38,7 @@ from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.spec.models.predicate import parse_call, texts
 from simfoundry.worlds.base import World, WorldRobot
 
 HOLD = 3

@@ -19,7 +19,7 @@ from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 
 Explain = Callable[[float, bool], str]
 """Function from a term's value, and whether the term holds, to its explanation, which may be empty."""
@@ -133,7 +133,7 @@ class Judge:
     """Judges conditions on states of one scene; preprocessed data of the scene is kept.
 
     A condition is a text, ``"OnTop(cup, desk)"``, or several combined by ``all``, ``any`` and ``not``, as data or as
-    the models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for invalid conditions and
+    the models of :mod:`simfoundry.spec.models.predicate`. Raises :class:`ExpressionError` for invalid conditions and
     :class:`PredicateError` for conditions that cannot be judged in this scene.
 
     With ``bounds_first`` values are the same, but margins and explanations may contain bounds instead of distances, and

@@ -19,8 +19,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
