@@ -15,7 +15,7 @@ from urllib.parse import unquote
 from simfoundry.spec.files import is_document
 
 if TYPE_CHECKING:
-    from simfoundry.spec.loaded import Loaded
+    from simfoundry.spec.files import Loaded
     from simfoundry.spec.models.asset import AssetSpec
     from simfoundry.spec.models.scene import SceneSpec
 

@@ -21,7 +21,7 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.loaded import Loaded
+    from simfoundry.spec.files import Loaded
     from simfoundry.spec.models.scene import SceneSpec
 
 P = ParamSpec("P")

@@ -16,7 +16,7 @@ import yaml
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 from simfoundry.spec.models.task import TaskSpec
 
 FORMATS = ("libero", "behavior", "omnigibson")

@@ -103,7 +103,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
 
     def paint(text: str, style: str) -> str:
-        return _painted(text, style) if color else text
+        return f"\x1b[{_STYLES[style]}m{text}\x1b[0m" if color else text
 
     blocks = []
     for d in ordered(diagnostics):
@@ -126,10 +126,6 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
 
 _STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
 """Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue."""
-
-
-def _painted(text: str, style: str) -> str:
-    return f"\x1b[{_STYLES[style]}m{text}\x1b[0m"
 
 
 def printable(line: str) -> str:

@@ -286,7 +286,7 @@ def test_no_variant_is_called_default(tmp_path: Path) -> None:
     path = write_everything(tmp_path)
     path.write_text(path.read_text().replace("      red: {", "      default: {"))
     (finding,) = load(path).errors
-    assert finding.code == "SF107" and "`default` is the object as it is written" in finding.message
+    assert finding.code == "SF107" and "no variant may be called `default`" in finding.message
 
 
 # -- lights and cameras ---------------------------------------------------------------------------------------------

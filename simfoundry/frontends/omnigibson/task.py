@@ -10,7 +10,7 @@ from simfoundry.frontends.documents import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft, NameTable, plain_name
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.model import Scene
-from simfoundry.spec.models.expressions import texts
+from simfoundry.spec.models.predicate import texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.yaml.nodes import YamlError
