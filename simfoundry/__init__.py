@@ -1,6 +1,6 @@
 """SimFoundry: one typed scene spec, many simulators.
 
-Importing this package loads no simulator, no USD and no mesh library; each public name is imported on first use.
+Importing this package does not load any simulator, USD, or mesh library. Each public name is imported on first use.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MODULES = {
     "load": "api.scenes",
     "load_task": "api.tasks",
 }
-"""Module of each public name."""
+"""The module that defines each public name."""
 
 __all__ = [*_MODULES, "__version__"]
 

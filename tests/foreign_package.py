@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+
+PAGES = sorted((Path(__file__).parents[1] / "docs" / "extend").glob("*.md"))
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+FILE = re.compile(r"\A(?:# |<!-- )(my_package/\S+)")
 
 
 def write_package(
@@ -27,3 +33,17 @@ def write_package(
         for group, entries in entry_points.items()
     )
     (info / "entry_points.txt").write_text("\n".join(groups))
+
+
+def documented_package() -> tuple[dict[str, dict[str, str]], dict[str, str]]:
+    """Return the package that the pages of ``docs/extend`` write: its entry points by group, and its files by path."""
+    entries: dict[str, dict[str, str]] = {}
+    files = {f"my_package/{name}__init__.py": "" for name in ("", "my_sim/", "robots/")}
+    for page in PAGES:
+        for language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+            named = FILE.match(text)
+            if language == "toml":
+                entries |= tomllib.loads(text)["project"]["entry-points"]
+            elif named is not None:
+                files[named[1]] = text
+    return entries, files

@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Capsule, Cylinder, Mesh, Sphere, tessellate
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import solve
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.scenes import box, pose, scene_of, solid
 

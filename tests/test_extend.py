@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,11 +19,7 @@ from simfoundry.targets.find import find_target, target_names
 from simfoundry.targets.generated import support_page
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
-from tests.foreign_package import write_package
-
-PAGES = sorted((REPOSITORY / "docs" / "extend").glob("*.md"))
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-FILE = re.compile(r"\A(?:# |<!-- )(my_package/\S+)")
+from tests.foreign_package import documented_package, write_package
 
 SCENE = """\
 simfoundry: scene/1
@@ -54,15 +48,7 @@ horizon: 12
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The folder in which the pages' package is installed, first on the path of this and other processes."""
     folder = tmp_path_factory.mktemp("site")
-    entries: dict[str, dict[str, str]] = {}
-    files = {f"my_package/{name}__init__.py": "" for name in ("", "my_sim/", "robots/")}
-    for page in PAGES:
-        for language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
-            named = FILE.match(text)
-            if language == "toml":
-                entries |= tomllib.loads(text)["project"]["entry-points"]
-            elif named is not None:
-                files[named[1]] = text
+    entries, files = documented_package()
     write_package(folder, "my-package", entries, files)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)

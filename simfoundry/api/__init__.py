@@ -1,1 +1,4 @@
-"""Public API: documents to edit in place, compile, open and judge. Import it as ``simfoundry``."""
+"""Public API for editing documents in place, and for compiling, simulating and judging scenes.
+
+Import it as ``simfoundry``.
+"""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Build:
-    """Compiled targets on disk: ``folder/<target>``, and ``folder/loss.json``."""
+    """Compiled targets on disk: one folder per target (``folder/<target>``), and ``folder/loss.json``."""
 
     folder: Path
     scene: Scene
@@ -28,22 +28,22 @@ class Build:
 
     @property
     def entries(self) -> dict[str, Path]:
-        """Entry file of each target."""
+        """The entry file of each target, by target name."""
         return {a.target: self.folder / a.target / a.entry for a in self.artifacts}
 
     @property
     def losses(self) -> dict[str, Any]:
-        """Losses of each target: the content of ``loss.json``."""
+        """The losses in each target, by target name; this is the content of ``loss.json``."""
         return report(self.scene, list(self.artifacts))
 
 
 def build_scene(scene: Scene, targets: tuple[str, ...], out: Path, force: bool) -> Build:
-    """Compile a scene into one folder per target, by default for every format."""
+    """Compile a scene into one folder per target; if no targets are given, compile it for every format."""
     return Build(out, scene, tuple(build(scene, targets or TARGETS, out, force)))
 
 
 def mujoco_spec(scene: Scene) -> mujoco.MjSpec:
-    """Return a scene as MuJoCo's editable model."""
+    """Convert a scene to an editable MuJoCo model."""
     import mujoco
 
     artifact = compile_scene(scene, "mjcf")
@@ -54,7 +54,10 @@ def mujoco_spec(scene: Scene) -> mujoco.MjSpec:
 
 
 def usd_stage(scene: Scene) -> Usd.Stage:
-    """Return a scene as a USD stage; a temporary folder with its layers is deleted with the stage."""
+    """Convert a scene to a USD stage.
+
+    The layers are stored in a temporary folder, which is deleted when the stage is garbage-collected.
+    """
     from pxr import Usd
 
     artifact = compile_scene(scene, "usd")

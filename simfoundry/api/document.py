@@ -1,4 +1,4 @@
-"""Documents edited in place: their data, the edited text, and saving."""
+"""Documents that can be edited in place and saved with their comments and layout."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from pydantic import TypeAdapter, ValidationError
 
 from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.change.diff.renames import Rename, copied, renamed
-from simfoundry.spec.change.edit_text import ABSENT, edit_text, own_data
+from simfoundry.spec.change.diff.changes import Rename, copied, renamed
+from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.data import to_data
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.write import to_yaml
+from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
 class EditableDocument(DocumentEntry):
-    """A document of one kind, edited in place; nothing is written to disk before :meth:`save`.
+    """A document that is edited in place. Nothing is written to disk until :meth:`save` is called.
 
-    Edits are kept as data beside the text. All methods that read the document (``check``, ``lower``, ``save``) use the
-    edited text, so that findings refer to its lines, and comments and layout around each edit are preserved.
+    All methods that read the document (``check``, ``lower``, ``save``) use the edited text: findings refer to lines in
+    that text, and the comments and layout around each edit are preserved.
     """
 
     _model: ClassVar[type[DocumentSpec]]
@@ -35,7 +35,7 @@ class EditableDocument(DocumentEntry):
         super().__init__(self, ())
         self._file = loaded.path
         text = loaded.document.text if loaded.document is not None else ""
-        self._source = text or to_yaml(loaded.spec)  # a stage stores its document in another form
+        self._source = text or to_yaml(loaded.spec)  # a document loaded from a USD stage has no YAML text
         self._before: dict[str, Any] = to_data(loaded.spec)
         self._data: dict[str, Any] = copied(self._before)
         self._loaded = loaded
@@ -44,17 +44,21 @@ class EditableDocument(DocumentEntry):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Load a document; raises :class:`SpecError` with every finding of its text."""
+        """Load a document.
+
+        Raises:
+            SpecError: If the document has errors; the exception contains every finding.
+        """
         return cls(load_kind(Path(path), cls._kind))
 
     @property
     def path(self) -> Path:
-        """File of the document."""
+        """The path of the document's file."""
         return self._file
 
     @property
     def text(self) -> str:
-        """Text of the document with the edits applied."""
+        """The text of the document with all edits applied."""
         if self._data == self._before:
             return self._source
         from simfoundry.spec.yaml.text import parse, read
@@ -68,13 +72,13 @@ class EditableDocument(DocumentEntry):
 
     @property
     def changes(self) -> list[str]:
-        """Describe the edits since the document was loaded or saved: ``mug mass 0.31 → 0.3 kg``."""
+        """Descriptions of the edits made since the document was loaded or saved, such as ``mug mass 0.31 → 0.3 kg``."""
         from simfoundry.spec.change.diff.words import describe, text
 
         return text(describe(self._before, self._data, self._model))
 
     def check(self, *, lints: bool = True) -> list[Diagnostic]:
-        """Return every finding of the edited document; without ``lints`` only those of its structure."""
+        """Check the edited document and return all findings; if ``lints`` is False, check only its structure."""
         loaded = self._load()
         findings = loaded.all_findings()
         if lints:
@@ -84,9 +88,16 @@ class EditableDocument(DocumentEntry):
         return findings
 
     def save(self, path: str | Path | None = None) -> Path:
-        """Write the document, by default to its original file; comments and layout around the edits are preserved.
+        """Write the document, preserving the comments and layout around the edits.
 
-        Raises :class:`SpecError` and writes nothing if the edits leave an error in the document.
+        Args:
+            path: File to write; defaults to the original file.
+
+        Returns:
+            The path of the file that was written.
+
+        Raises:
+            SpecError: If the edited document has errors; nothing is written in this case.
         """
         from simfoundry.runtime.files import write_atomically
 
@@ -110,11 +121,11 @@ class EditableDocument(DocumentEntry):
         return target
 
     def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
-        """Record the source of an imported document, and the folder to copy when the document is saved."""
+        """Record the source file of an imported document and the mesh folder to copy when the document is saved."""
         self._imported_from, self._mesh_folder = source, mesh_folder
 
     def _take_files(self, target: Path) -> None:
-        """Copy the mesh folder of an imported document beside its new location."""
+        """Copy the mesh folder of an imported document to the folder in which the document is saved."""
         import shutil
 
         folder = self._mesh_folder
@@ -132,18 +143,18 @@ class EditableDocument(DocumentEntry):
         return f"<{type(self).__name__} {self._data.get('name')} of {self.path}{edited}>"
 
     def _load(self) -> Loaded:
-        """Return the edited document, checked."""
+        """Return the edited document, including any findings."""
         return self._loaded if self._data == self._before else load(self.path, text=self.text)
 
     def _checked(self) -> Loaded:
-        """Return the edited document if it has no errors; raises :class:`SpecError` otherwise."""
+        """Return the edited document, or raise :class:`SpecError` if it has errors."""
         loaded = self._load()
         if loaded.errors:
             raise SpecError(loaded.errors)
         return loaded
 
     def _files(self) -> list[str]:
-        """Return the files that the document names relative to its folder."""
+        """Return the file paths in the document that are relative to its folder."""
         from simfoundry.spec.models.types import file_patterns
 
         found: list[str] = []
@@ -165,7 +176,7 @@ class EditableDocument(DocumentEntry):
         return value
 
     def _set(self, path: DataPath, value: Any) -> None:
-        """Set the value at a path; raises :class:`SpecError` if the value is invalid there."""
+        """Set the value at a path, or raise :class:`SpecError` if the value is invalid."""
         before, plain = copied(self._data), to_plain(value)
         place = self._data
         for part in path[:-1]:
@@ -179,7 +190,7 @@ class EditableDocument(DocumentEntry):
             raise SpecError(findings) from None
 
     def _delete(self, path: DataPath) -> None:
-        """Remove the value at a path, and the mappings that this leaves empty."""
+        """Remove the value at a path, and all parent mappings that become empty as a result."""
         place = self._get(path[:-1])
         del place[path[-1]]
         if not place and len(path) > 1:
@@ -191,7 +202,7 @@ class EditableDocument(DocumentEntry):
 
 
 def _validate(model: type[Model], path: DataPath, value: Any) -> None:
-    """Validate a value against the type of the field, or of the members of a section, at a path."""
+    """Validate a value against the type of the field or section member at a path."""
     for owner in models_at(model, path[:-1]):
         if path[-1] in owner.model_fields and issubclass(owner, Model):
             TypeAdapter(field_type(owner, path[-1])).validate_python(value, strict=True)

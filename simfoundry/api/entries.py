@@ -1,4 +1,4 @@
-"""Views of parts of a document with the fields of their models: entries, fields, and mappings of entries by name."""
+"""Views of parts of a document: entries, their fields, and mappings from names to entries."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeV
 from pydantic import TypeAdapter
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.diff.renames import copied
-from simfoundry.spec.change.edit_text import ABSENT
+from simfoundry.spec.change.diff.changes import copied
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.data import to_data
+from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
     from simfoundry.api.document import EditableDocument
@@ -22,18 +22,18 @@ Got = TypeVar("Got")
 Given = TypeVar("Given", contravariant=True)
 
 DataPath = tuple[str, ...]
-"""Path in the data of a document: ``("objects", "mug")``."""
+"""A path in the data of a document, such as ``("objects", "mug")``."""
 
 
 class UnknownNameError(SimfoundryError, KeyError):
-    """A name that a document does not have; the message lists similar names."""
+    """Raised if a name does not exist in a document; the message suggests similar names."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 class DocumentEntry:
-    """View of one entry of a document, such as an object or a material; it stores no values itself."""
+    """A view of one entry in a document, such as an object or a material; all values are stored in the document."""
 
     _model: ClassVar[type[Model]]
     _document: EditableDocument
@@ -44,12 +44,15 @@ class DocumentEntry:
         object.__setattr__(self, "_at", path)
 
     def to_data(self) -> dict[str, Any]:
-        """Return the written values of the entry as plain data."""
+        """Return the values that are set in the entry as plain data, without defaults."""
         found = self._document._get(self._at)
         return copied(found) if isinstance(found, dict) else {}
 
     def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
-        """Set several fields at once, as needed if one replaces another: ``update(pose=None, place=...)``."""
+        """Set several fields at once; a value of None removes the field.
+
+        This is useful if one field replaces another: ``update(pose=None, place=...)``.
+        """
         for name, value in {**values, **more}.items():
             self._check_field(name)
             if value is not None:
@@ -64,7 +67,7 @@ class DocumentEntry:
         if name not in self._model.model_fields:
             raise UnknownNameError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
 
-    if not TYPE_CHECKING:  # type checkers know the fields by their declarations
+    if not TYPE_CHECKING:  # type checkers see the declared fields instead
 
         def __getattr__(self, name: str) -> object:
             raise AttributeError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
@@ -75,20 +78,36 @@ class DocumentEntry:
             super().__setattr__(name, value)
 
 
-class ValueField(Generic[Got, Given]):
-    """Field of an entry: the written value, else its default; None and ``del`` remove the written value."""
+class _Field(Generic[Given]):
+    """A field of an entry that can be set and removed."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
+    def __set__(self, entry: DocumentEntry, value: Given) -> None:
+        """Set the value; None removes it. Raises :class:`SpecError` if the value is invalid."""
+        entry.update({self.name: value})
+
+    def __delete__(self, entry: DocumentEntry) -> None:
+        """Remove the value."""
+        entry.update({self.name: None})
+
+
+class ValueField(_Field[Given], Generic[Got, Given]):
+    """A field with a plain value.
+
+    Reading it returns the value in the document, or the default if the field is not set. Assigning None or using
+    ``del`` removes the value from the document.
+    """
+
     @overload
     def __get__(self, entry: None, owner: type) -> Self:
-        """Return the value, typed as in the model."""
+        """Return the value with the type declared in the model."""
 
     @overload
     def __get__(self, entry: DocumentEntry, owner: type) -> Got: ...
     def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | Got:
-        """Return the value, typed as its model has it."""
+        """Return the value with the type declared in the model."""
         if entry is None:
             return self
         value = entry._document._get((*entry._at, self.name))
@@ -99,26 +118,15 @@ class ValueField(Generic[Got, Given]):
         typed: Got = TypeAdapter(field_type(entry._model, self.name)).validate_python(value, strict=True)
         return typed
 
-    def __set__(self, entry: DocumentEntry, value: Given) -> None:
-        """Write a value; raises :class:`SpecError` if it is invalid."""
-        entry.update({self.name: value})
-
-    def __delete__(self, entry: DocumentEntry) -> None:
-        """Remove the written value."""
-        entry.update({self.name: None})
-
 
 E = TypeVar("E", bound=DocumentEntry)
 
 
-class EntryField(Generic[E]):
-    """Field that is itself an entry, such as a pose: set its fields one by one, or all with a mapping."""
+class EntryField(_Field[E | Model | Mapping[str, object] | None], Generic[E]):
+    """A field that is itself an entry, such as a pose; set its fields individually, or assign a mapping."""
 
     def __init__(self, kind: type[E]) -> None:
         self.kind = kind
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
 
     @overload
     def __get__(self, entry: None, owner: type) -> Self: ...
@@ -128,32 +136,22 @@ class EntryField(Generic[E]):
         """Return the entry."""
         return self if entry is None else self.kind(entry._document, (*entry._at, self.name))
 
-    def __set__(self, entry: DocumentEntry, value: E | Model | Mapping[str, object] | None) -> None:
-        """Replace the whole entry."""
-        entry.update({self.name: value})
-
-    def __delete__(self, entry: DocumentEntry) -> None:
-        """Remove the entry."""
-        entry.update({self.name: None})
-
 
 class EntryMapping(MutableMapping[str, E]):
-    """Members of a section by name, such as ``scene.objects``."""
+    """The members of a section by name, such as ``scene.objects``."""
 
     def __init__(self, document: EditableDocument, path: DataPath, kind: type[E]) -> None:
         self._document, self._at, self._kind = document, path, kind
 
     def __getitem__(self, name: str) -> E:
-        if name not in self._names():
-            raise UnknownNameError(self._unknown(name))
+        self._require(name)
         return self._kind(self._document, (*self._at, name))
 
     def __setitem__(self, name: str, value: E | Model | Mapping[str, object]) -> None:
         self._document._set((*self._at, name), to_plain(value))
 
     def __delitem__(self, name: str) -> None:
-        if name not in self._names():
-            raise UnknownNameError(self._unknown(name))
+        self._require(name)
         self._document._delete((*self._at, name))
 
     def __iter__(self) -> Iterator[str]:
@@ -166,16 +164,18 @@ class EntryMapping(MutableMapping[str, E]):
         return f"<{'.'.join(self._at)}: {', '.join(self) or 'none'}>"
 
     def add(self, name: str, /, **fields: object) -> E:
-        """Add a member with these fields: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``."""
+        """Add a member with the given fields and return it.
+
+        Example: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``.
+        """
         if name in self._names():
             raise SimfoundryError(f"there is {self._a_noun} `{name}` already; give the new one another name")
         self[name] = fields
         return self[name]
 
     def rename(self, old: str, new: str) -> E:
-        """Rename a member, also in relations, placements and other references."""
-        if old not in self._names():
-            raise UnknownNameError(self._unknown(old))
+        """Rename a member and update all references to it, for example in relations and placements."""
+        self._require(old)
         if new in self._names():
             raise SimfoundryError(f"there is {self._a_noun} `{new}` already; choose another name")
         self._document._rename(self._at, old, new)
@@ -193,12 +193,13 @@ class EntryMapping(MutableMapping[str, E]):
     def _a_noun(self) -> str:
         return f"an {self._noun}" if self._noun[0] in "aeiou" else f"a {self._noun}"
 
-    def _unknown(self, name: str) -> str:
-        return f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, self._names())}"
+    def _require(self, name: str) -> None:
+        if name not in (names := self._names()):
+            raise UnknownNameError(f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, names)}")
 
 
 class ExpressionList(MutableSequence[str]):
-    """List of expressions edited in place, such as ``scene.relations``."""
+    """A list of expressions that is edited in place, such as ``scene.relations``."""
 
     def __init__(self, document: EditableDocument, path: DataPath) -> None:
         self._document, self._at = document, path
@@ -232,7 +233,7 @@ class ExpressionList(MutableSequence[str]):
         return repr(self._texts())
 
     def insert(self, index: int, value: str) -> None:
-        """Insert an expression before an index."""
+        """Insert an expression before the given index."""
         texts = self._texts()
         texts.insert(index, value)
         self._write(texts)
@@ -250,7 +251,7 @@ class ExpressionList(MutableSequence[str]):
 
 
 def to_plain(value: Any) -> Any:
-    """Return a value as plain data: mappings, tuples and scalars."""
+    """Convert a value to plain data: mappings, tuples and scalars."""
     if isinstance(value, Model):
         return to_data(value)
     if hasattr(value, "tolist"):  # numpy arrays and numbers
@@ -265,6 +266,6 @@ def to_plain(value: Any) -> Any:
 
 
 def field_type(model: type[Model], name: str) -> Any:
-    """Return the type of a field with its constraints."""
+    """Return the type of a field, annotated with its constraints."""
     info = model.model_fields[name]
     return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation

@@ -1,4 +1,4 @@
-"""Rollouts of policies on tasks, and their combined results."""
+"""Policy rollouts on tasks, and their combined results."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of an evaluation: the records of its rollouts, in ``folder`` with ``results.json`` and a report.
+    """The results of an evaluation.
 
-    ``missing`` is the number of rollouts without a result; ``troubles`` are sentences about faulty policies.
+    Attributes:
+        folder: Output folder, which contains the rollout records, ``results.json`` and a report.
+        records: One record per rollout.
+        results: Content of ``results.json``.
+        missing: Number of rollouts without a result.
+        troubles: Sentences that describe policy failures.
     """
 
     folder: Path
@@ -27,14 +32,14 @@ class Evaluation:
 
     @property
     def success(self) -> dict[tuple[str, str], float]:
-        """Success rate by task and policy; pairs without results are left out."""
+        """The success rate for each (task, policy) pair; pairs without results are omitted."""
         from simfoundry.evaluate.statistics.results import cells
 
         return {(cell.title, cell.policy): cell.success.share for cell in cells(self.records) if cell.success.of}
 
     @property
     def report(self) -> Path:
-        """Page with grids of starts, failures and videos."""
+        """The path of the HTML report, which shows initial states, failures and videos."""
         return self.folder / "report.html"
 
 
@@ -49,10 +54,22 @@ def evaluate(
     video: bool = False,
     jobs: int = 1,
 ) -> Evaluation:
-    """Evaluate policies on tasks, all from the same starts: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
+    """Evaluate policies on tasks, all from the same initial states.
 
-    Policies are named as on the command line: ``random``, ``expert``, ``python:module:Class``,
-    ``openpi:host:port?...``. Rollouts that are already in ``out`` are not repeated, so an interrupted run resumes.
+    Example: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
+
+    Rollouts that are already in ``out`` are not repeated. To resume an interrupted run, make the same call again.
+
+    Args:
+        tasks: One or more task documents.
+        policies: One or more policies, named as on the command line: ``random``, ``expert``, ``python:module:Class``,
+            or ``openpi:host:port?...``.
+        out: Output folder.
+        rollouts: Number of rollouts for each task and policy.
+        seed: Seed for the initial states.
+        engine: Simulator in which to run the rollouts.
+        video: Whether to record videos.
+        jobs: Number of parallel processes.
     """
     from simfoundry.evaluate.entries import TaskEntry, contenders
     from simfoundry.evaluate.run import EvaluationPlan, prepare
@@ -68,7 +85,7 @@ def evaluate(
 def run_plan(
     plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
 ) -> Evaluation:
-    """Execute a plan; ``progress`` receives the standing of a policy and the completed fraction."""
+    """Execute a plan; ``progress`` is called with the current score of a policy and the completed fraction."""
     from simfoundry.evaluate.run import pending, run
     from simfoundry.evaluate.statistics.records import read_all
     from simfoundry.evaluate.statistics.results import results

@@ -1,4 +1,4 @@
-"""Scenes edited in place, and operations on them: load or import, check, lower, compile, open, judge."""
+"""Scenes that can be loaded or imported, edited in place, checked, compiled, simulated and judged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from simfoundry.api.document import EditableDocument
 from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models import base, place, robot, scene
+from simfoundry.spec.models import base, robot, scene
 
 if TYPE_CHECKING:
     import mujoco
@@ -29,7 +29,7 @@ ShapeSpec = (
     base.BoxShape | base.SphereShape | base.CylinderShape | base.CapsuleShape | base.PrismShape | base.LatheShape
 )
 Values = Mapping[str, object]
-"""Fields as in the YAML: ``{"box": [0.1, 0.1, 0.1]}``."""
+"""A mapping of fields as in the YAML file, such as ``{"box": [0.1, 0.1, 0.1]}``."""
 
 Text = ValueField[str | None, str | None]
 Names = ValueField[tuple[str, ...], Sequence[str] | None]
@@ -43,7 +43,7 @@ Origin = ValueField[base.Origin | None, base.Origin | Values | None]
 
 
 class PoseEntry(DocumentEntry):
-    """A pose in its parent: position [m], and a rotation in at most one of three ways."""
+    """A pose relative to its parent: a position [m] and a rotation in one of three representations."""
 
     _model = base.PoseSpec
     xyz = Position()
@@ -53,7 +53,7 @@ class PoseEntry(DocumentEntry):
 
 
 class CameraPoseEntry(DocumentEntry):
-    """The pose of a camera: position [m], with a look-at point or a rotation."""
+    """The pose of a camera: a position [m], and either a point to look at or a rotation."""
 
     _model = base.CameraPose
     xyz = Position()
@@ -62,7 +62,7 @@ class CameraPoseEntry(DocumentEntry):
 
 
 class MaterialEntry(DocumentEntry):
-    """A material: density [kg/m^3], friction coefficients, restitution and color."""
+    """A material with a density [kg/m^3], friction coefficients, restitution and color."""
 
     _model = base.Material
     density = OptionalNumber()
@@ -74,7 +74,7 @@ class MaterialEntry(DocumentEntry):
 
 
 class ObjectEntry(DocumentEntry):
-    """An object: its shape or asset, mass [kg] or density [kg/m^3], surface, and pose or placement."""
+    """An object with a shape or asset, mass [kg] or density [kg/m^3], surface properties, and a pose or placement."""
 
     _model = scene.ObjectSpec
     category = Text()
@@ -93,7 +93,7 @@ class ObjectEntry(DocumentEntry):
     collision = ValueField[str, base.Collision | None]()
     solid = ValueField[str, base.Solid | None]()
     pose = EntryField(PoseEntry)
-    place = ValueField[place.Place | None, place.Place | Values | None]()
+    place = ValueField[scene.Place | None, scene.Place | Values | None]()
     joints = ValueField[Mapping[str, object], Values | None]()
     variant = Text()
     variants = ValueField[Mapping[str, scene.VariantSpec], Values | None]()
@@ -101,7 +101,7 @@ class ObjectEntry(DocumentEntry):
 
 
 class RobotEntry(DocumentEntry):
-    """A robot: its model, base pose, and posture."""
+    """A robot with a model, a base pose, and joint positions."""
 
     _model = robot.RobotSpec
     model = ValueField[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
@@ -112,7 +112,7 @@ class RobotEntry(DocumentEntry):
 
 
 class CameraEntry(DocumentEntry):
-    """A pinhole camera: size [px], focal lengths [px], principal point [px], pose."""
+    """A pinhole camera with an image size [px], focal lengths [px], a principal point [px], and a pose."""
 
     _model = scene.CameraSpec
     size = ValueField[tuple[int, int], Sequence[int]]()
@@ -125,7 +125,7 @@ class CameraEntry(DocumentEntry):
 
 
 class LightEntry(DocumentEntry):
-    """A light: distant, point or dome."""
+    """A distant, point or dome light."""
 
     _model = scene.LightSpec
     type = ValueField[str, str]()
@@ -136,7 +136,7 @@ class LightEntry(DocumentEntry):
 
 
 class SceneDocument(EditableDocument):
-    """A scene document: ``scene.objects["mug"].mass = 0.3``, then ``scene.save()``."""
+    """A scene document that can be edited in place: ``scene.objects["mug"].mass = 0.3``, then ``scene.save()``."""
 
     _model, _kind = scene.SceneSpec, "scene/1"
 
@@ -151,32 +151,32 @@ class SceneDocument(EditableDocument):
 
     @property
     def objects(self) -> EntryMapping[ObjectEntry]:
-        """Objects by name."""
+        """The objects in the scene, by name."""
         return EntryMapping(self, ("objects",), ObjectEntry)
 
     @property
     def materials(self) -> EntryMapping[MaterialEntry]:
-        """Materials by name."""
+        """The materials in the scene, by name."""
         return EntryMapping(self, ("materials",), MaterialEntry)
 
     @property
     def robots(self) -> EntryMapping[RobotEntry]:
-        """Robots by name."""
+        """The robots in the scene, by name."""
         return EntryMapping(self, ("robots",), RobotEntry)
 
     @property
     def cameras(self) -> EntryMapping[CameraEntry]:
-        """Cameras by name."""
+        """The cameras in the scene, by name."""
         return EntryMapping(self, ("cameras",), CameraEntry)
 
     @property
     def lights(self) -> EntryMapping[LightEntry]:
-        """Lights by name."""
+        """The lights in the scene, by name."""
         return EntryMapping(self, ("lights",), LightEntry)
 
     @property
     def relations(self) -> ExpressionList:
-        """Predicates that should hold, such as ``OnTop(cup, desk)``: a list that is edited in place."""
+        """Predicates that should hold in the scene, such as ``OnTop(cup, desk)``. The list is edited in place."""
         return ExpressionList(self, ("relations",))
 
     @relations.setter
@@ -184,48 +184,66 @@ class SceneDocument(EditableDocument):
         ExpressionList(self, ("relations",))[:] = list(texts)
 
     def lower(self) -> Scene:
-        """Return the scene with everything resolved; raises :class:`SpecError` with every finding."""
+        """Lower the document to an immutable scene in which all poses, masses and inertias are resolved.
+
+        Raises:
+            SpecError: If the document has errors; the exception contains every finding.
+        """
         from simfoundry.assets.cache import Cache
         from simfoundry.scene.lower import lower
 
         return lower(self._checked(), Cache.default())
 
     def compile(self, *targets: str, out: str | Path, force: bool = False) -> Build:
-        """Compile the scene into ``out/<target>`` for each target: a format, a simulator, or the path of a profile.
+        """Compile the scene into one folder per target.
 
-        Raises :class:`OutputError` if a folder contains files that are not from a build, unless ``force``.
+        Args:
+            targets: Formats, simulators, or paths of profiles; defaults to every format.
+            out: Output folder; each target is written to ``out/<target>``.
+            force: Whether to replace target folders that contain other files.
+
+        Raises:
+            OutputError: If a target folder contains files that are not from a build and ``force`` is False.
         """
         from simfoundry.api.build import build_scene
 
         return build_scene(self.lower(), targets, Path(out), force)
 
     def to_mujoco_spec(self) -> mujoco.MjSpec:
-        """Return the scene as MuJoCo's editable model, without writing a file."""
+        """Return the scene as an editable MuJoCo model without writing any files."""
         from simfoundry.api.build import mujoco_spec
 
         return mujoco_spec(self.lower())
 
     def to_mujoco(self) -> mujoco.MjModel:
-        """Return the scene as a compiled MuJoCo model, without writing a file."""
+        """Return the scene as a compiled MuJoCo model without writing any files."""
         return self.to_mujoco_spec().compile()
 
     def to_usd(self) -> Usd.Stage:
-        """Return the scene as a USD stage; its files live as long as the stage does."""
+        """Return the scene as a USD stage; its temporary files are deleted together with the stage."""
         from simfoundry.api.build import usd_stage
 
         return usd_stage(self.lower())
 
     def open(self, engine: str = "mujoco") -> World:
-        """Return a simulator with the scene loaded: a context manager with ``step``, ``state`` and ``judge``."""
+        """Load the scene into a simulator.
+
+        The returned world is a context manager with the methods ``step``, ``state`` and ``judge``.
+        """
         from simfoundry.worlds import open_world
 
         return open_world(self.lower(), engine)
 
     def judge(self, condition: str | None = None, state: SceneState | None = None) -> Verdict:
-        """Judge a condition, by default all relations of the scene, in a state, by default the scene's initial state.
+        """Judge a condition in a state of the scene.
 
-        Raises :class:`ExpressionError` for an invalid condition, and :class:`PredicateError` for one that the scene
-        cannot decide.
+        Args:
+            condition: The condition; defaults to all relations in the scene.
+            state: The state; defaults to the scene's initial state.
+
+        Raises:
+            ExpressionError: If the condition is invalid.
+            PredicateError: If the condition cannot be evaluated in this scene.
         """
         from simfoundry.predicates import Judge
         from simfoundry.scene.state import SceneState
@@ -236,9 +254,10 @@ class SceneDocument(EditableDocument):
 
 
 def load(path: str | Path) -> SceneDocument:
-    """Load a scene: a document, or a USD, MJCF or URDF file, which is imported.
+    """Load a scene document, or import a USD, MJCF or URDF file.
 
-    Raises :class:`SpecError` with every finding if the document has errors.
+    Raises:
+        SpecError: If the document has errors; the exception contains every finding.
     """
     path = Path(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -250,7 +269,7 @@ def load(path: str | Path) -> SceneDocument:
 
 
 def is_compiled_stage(path: Path) -> bool:
-    """Return whether a file is a stage that was compiled from a document, which is stored in it."""
+    """Return True if a file is a USD stage that was compiled from a document; such a stage contains the document."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
     from simfoundry.frontends.errors import refusing_faults
@@ -260,7 +279,7 @@ def is_compiled_stage(path: Path) -> bool:
         with refusing_faults(path):
             return carrier(open_stage(path)) is not None
     except StageError:
-        return False  # the import reports why it cannot be read
+        return False  # the import reports why the stage could not be read
 
 
 def _imported(path: Path) -> SceneDocument:

@@ -1,4 +1,4 @@
-"""Tasks edited in place, and their evaluation."""
+"""Tasks that can be edited in place."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Goal = ValueField[Any, str | Values]
 
 
 class SubtaskEntry(DocumentEntry):
-    """A step of a task: its goal, its instruction, and its own start."""
+    """A step of a task, with a goal, an instruction, and optionally its own initial state."""
 
     _model = task.Subtask
     goal = Goal()
@@ -24,7 +24,7 @@ class SubtaskEntry(DocumentEntry):
 
 
 class TaskDocument(EditableDocument):
-    """A task document: ``task.horizon = 300``, then ``task.save()``."""
+    """A task document that can be edited in place: ``task.horizon = 300``, then ``task.save()``."""
 
     _model, _kind = task.TaskSpec, "task/1"
 
@@ -43,14 +43,18 @@ class TaskDocument(EditableDocument):
 
     @property
     def subtasks(self) -> EntryMapping[SubtaskEntry]:
-        """Steps by name, in order."""
+        """The steps of the task by name, in order."""
         return EntryMapping(self, ("subtasks",), SubtaskEntry)
 
     def load_scene(self) -> SceneDocument:
-        """Load the scene that the task is for."""
+        """Load the scene in which the task takes place."""
         return SceneDocument.load(self._checked().file(self.scene))
 
 
 def load_task(path: str | Path) -> TaskDocument:
-    """Load a task document; raises :class:`SpecError` with every finding if it has errors."""
+    """Load a task document.
+
+    Raises:
+        SpecError: If the document has errors; the exception contains every finding.
+    """
     return TaskDocument.load(path)

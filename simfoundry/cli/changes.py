@@ -29,7 +29,7 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.compare import DocumentComparison
-    from simfoundry.spec.change.git.history import HistoryEntry
+    from simfoundry.spec.change.git.arguments import HistoryEntry
     from simfoundry.spec.change.merge.texts import MergedText
 
 
@@ -228,7 +228,7 @@ def _by_lines(args: Sequence[str]) -> int:
 
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.spec.change.merge.resolve import resolve
+    from simfoundry.spec.change.merge.texts import resolve
     from simfoundry.spec.load import load
     from simfoundry.spec.models.kinds import KINDS, model_of
     from simfoundry.spec.yaml.nodes import YamlError

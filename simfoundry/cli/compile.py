@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,7 +116,7 @@ def compile_many(
     as_json: bool,
 ) -> int:  # fmt: skip
     """Compile the scenes among ``paths`` and below its folders; return the exit code."""
-    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, jobs_of
+    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, compile_all, compile_job, jobs_of
     from simfoundry.targets.find import find_target
 
     for name in targets:
@@ -124,7 +124,11 @@ def compile_many(
     jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
     _ensure_apart(jobs, paths)
     with progress_bar(as_json) as progress:
-        outcomes = _outcomes(jobs, workers or _cores(), lambda said, done: progress(_short(said), done / len(jobs)))
+        if len(jobs) == 1:
+            outcomes = [compile_job(jobs[0])]
+        else:
+            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+            outcomes = compile_all(jobs, workers or cores, lambda said, done: progress(_short(said), done / len(jobs)))
     found = Counter(outcome.state for outcome in outcomes)
     counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
     if as_json:
@@ -133,13 +137,6 @@ def compile_many(
         _print(outcomes, found)
     lossy = any(any(outcome.losses.values()) for outcome in outcomes)
     return FINDINGS if found[FAILED] or (strict and lossy) else DONE
-
-
-def _outcomes(jobs: Sequence[CompileJob], workers: int, report: Callable[[str, int], object]) -> list[CompileOutcome]:
-    """Yield the outcome of each job; compile a single scene in this process."""
-    from simfoundry.targets.batch import compile_all, compile_job
-
-    return [compile_job(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report)
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
@@ -173,8 +170,3 @@ def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
 
 def _short(text: str, most: int = 60) -> str:
     return text if len(text) <= most else f"…{text[-most + 1 :]}"
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

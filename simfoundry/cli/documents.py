@@ -32,8 +32,8 @@ from simfoundry.spec.project import MARKER, find_project
 if TYPE_CHECKING:
     from simfoundry.spec.change.format import Formatted
     from simfoundry.spec.check.report import Checked
+    from simfoundry.spec.files import Loaded
     from simfoundry.spec.load import Known
-    from simfoundry.spec.loaded import Loaded
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
@@ -186,8 +186,7 @@ def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     PATHS are files, or folders with documents below them (default: the working folder). A document's first key states
     its version.
     """
-    from simfoundry.spec.change.format import Formatted
-    from simfoundry.spec.change.migrate import migrated
+    from simfoundry.spec.change.format import Formatted, migrated
     from simfoundry.spec.yaml.text import read
 
     def update(path: Path) -> Formatted:

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime.extras import how_to_install
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.loaded import Loaded
+    from simfoundry.spec.files import Loaded
     from simfoundry.spec.models.scene import SceneSpec
 
 P = ParamSpec("P")
@@ -54,6 +53,8 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
         except SimfoundryError as error:
             raise CannotError(str(error)) from None
         except ModuleNotFoundError as error:
+            from simfoundry.runtime.extras import how_to_install
+
             name = error.name or "a package"
             raise CannotError(
                 f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists everything)"

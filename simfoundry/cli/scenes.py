@@ -47,7 +47,7 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState
-    from simfoundry.spec.models.expressions import ExpressionError, parse_call
+    from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
     lowered = lower_scene(scene, as_json)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)

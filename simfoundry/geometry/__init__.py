@@ -1,1 +1,1 @@
-"""Geometric measures of shapes, each implemented once."""
+"""Geometric measurements on shapes, each implemented only once."""

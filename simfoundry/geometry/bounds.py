@@ -1,4 +1,7 @@
-"""Bounds on the signed distance of two links, without MuJoCo; they decide nearly every threshold."""
+"""Bounds on the signed distance between two links, computed without MuJoCo.
+
+The bounds are nearly always tight enough to tell on which side of a threshold the distance is.
+"""
 
 from __future__ import annotations
 
@@ -16,24 +19,31 @@ from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Box
 
 ROUNDING = 1e-9
-"""Rounding errors of coordinates of a few meters [m]."""
+"""Allowance for rounding errors in coordinates of a few meters [m]."""
 
 FEW_EDGES = 24
-"""Total number of edges of both parts up to which cross products of edges are tested; a box has twelve."""
+"""Maximum total number of edges in two parts for which cross products of edges are tested; a box has twelve edges."""
 
 STEPS = 64
-"""Step limit of Wolfe's algorithm; faces with a hundred corners need about twenty steps."""
+"""Maximum number of steps in Wolfe's algorithm; faces with a hundred corners need about twenty."""
 
 
 class Interval(NamedTuple):
-    """Bounds of a distance [m]: at least ``lower``, at most ``upper``, which is 0 for overlapping parts."""
+    """Lower and upper bounds on a signed distance [m]; the upper bound is about 0 for overlapping sharp parts."""
 
     lower: float
     upper: float
 
 
 class _Part(NamedTuple):
-    """Convex part in the world: corners (n, 3), rounding [m], unit normals (m, 3) and edge directions (k, 3)."""
+    """A convex part in the world frame.
+
+    Attributes:
+        corners: Corners [m], shape (n, 3).
+        radius: Rounding radius [m].
+        normals: Unit face normals, shape (m, 3).
+        edges: Unit edge directions, shape (k, 3).
+    """
 
     corners: Array
     radius: float
@@ -42,9 +52,15 @@ class _Part(NamedTuple):
 
 
 def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Array, Array], limit: float) -> Interval:
-    """Return bounds of the distance of two links, each at a position (3,) and rotation (3, 3).
+    """Return bounds on the signed distance between two links.
 
-    Parts whose boxes are farther apart than ``limit`` [m] count as exactly that far apart.
+    Args:
+        a: First link.
+        b: Second link.
+        X_WA: Position [m], shape (3,), and rotation, shape (3, 3), of the first link in the world.
+        X_WB: Position and rotation of the second link.
+        limit: Distance [m] at which the search ends: parts whose bounding boxes are farther apart than this are
+            treated as exactly this far apart.
     """
     lower, upper = limit, math.inf
     boxes_a, boxes_b = _boxes(a, X_WA), _boxes(b, X_WB)
@@ -58,7 +74,7 @@ def distance_bounds(a: Form, b: Form, X_WA: tuple[Array, Array], X_WB: tuple[Arr
 
 
 def _boxes(form: Form, X_WF: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Low and high corners of the box around each part, (parts, 3) each."""
+    """Return the minimum and maximum corners of the bounding box around each part, shape (parts, 3) each."""
     low, high, _, _ = form.pieces
     middle, half = (low + high) / 2 @ X_WF[1].T + X_WF[0], (high - low) / 2 @ np.abs(X_WF[1]).T
     return middle - half, middle + half
@@ -83,7 +99,7 @@ def _part_bounds(a: _Part, b: _Part) -> Interval:
     if apart > ROUNDING:
         axes.append(-nearest[None] / apart)
     ways = np.concatenate(axes)
-    if not len(ways):  # two points or rods in contact
+    if not len(ways):  # two points or line segments in contact
         return Interval(-rounding, apart - rounding)
     along = (b.corners @ ways.T).min(axis=0) - (a.corners @ ways.T).max(axis=0)
     slack = PROUD * ((len(a.corners) > 8) + (len(b.corners) > 8))  # prisms around cylinders protrude by this much
@@ -91,7 +107,7 @@ def _part_bounds(a: _Part, b: _Part) -> Interval:
 
 
 def _nearest(a: Array, b: Array) -> Array:
-    """Shortest vector from the hull of ``b`` to the hull of ``a``, (3,), by Wolfe's algorithm."""
+    """Compute the shortest vector from the hull of ``b`` to the hull of ``a``, shape (3,), with Wolfe's algorithm."""
     middle = a.mean(axis=0) - b.mean(axis=0)
     corral = _support(a, b, middle)[None]
     weights = np.ones(1)
@@ -118,12 +134,12 @@ def _nearest(a: Array, b: Array) -> Array:
 
 
 def _support(a: Array, b: Array, way: Array) -> Array:
-    """Support point of the difference of two hulls: the point least far along a direction."""
+    """Return the support point of the difference of two hulls: the point with the least extent along a direction."""
     return np.asarray(a[(a @ way).argmin()] - b[(b @ way).argmax()])
 
 
 def _affine(points: Array) -> Array:
-    """Weights, with sum 1, of the point nearest to the origin in the affine hull of points."""
+    """Return the weights, which sum to 1, of the point nearest the origin in the affine hull of ``points``."""
     k = len(points)
     system = np.ones((k + 1, k + 1))
     system[0, 0], system[1:, 1:] = 0.0, points @ points.T
@@ -138,9 +154,10 @@ BOX_ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class BoxField:
-    """Distance field of a box.
+    """The distance field of a box.
 
-    ``middle`` and ``axes`` are its pose in the link, ``half`` its half extents.
+    ``middle`` [m] and ``axes`` are the position and rotation of the box in the link frame; ``half`` [m] contains its
+    half extents.
     """
 
     middle: NDArray[np.float32]
@@ -148,18 +165,22 @@ class BoxField:
     half: NDArray[np.float32]
 
     def local(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Transform points in the link's frame, (..., 3), to the frame of the box."""
+        """Transform points, shape (..., 3), from the link frame to the box frame."""
         return np.asarray((points - self.middle) @ self.axes)
 
     def lower(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:
-        """Lower bound [m], (n,), of the distance to regions from ``low`` to ``high`` in the box frame, (n, 3) each.
+        """Return a lower bound on the distance [m], shape (n,), to axis-aligned regions in the box frame.
 
-        It is the largest gap across a face of the box.
+        The regions extend from ``low`` to ``high``, shape (n, 3) each. The bound is the largest gap across a face of
+        the box.
         """
         return np.asarray(np.maximum(low - self.half, -self.half - high).max(axis=1) - np.float32(BOX_ROUNDING))
 
     def upper(self, local: NDArray[np.float32], radius: NDArray[np.float32]) -> Array:
-        """Upper bound [m], (n,): distance of the nearest of the balls at points in the box frame, (n, m, 3)."""
+        """Return an upper bound on the distance [m], shape (n,): the distance to the nearest of m balls.
+
+        ``local`` [m], shape (n, m, 3), contains the centers of the balls in the box frame.
+        """
         off = np.abs(local) - self.half
         outside = np.maximum(off, 0)
         away = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + np.minimum(off.max(axis=-1), 0) - radius
@@ -168,7 +189,7 @@ class BoxField:
 
 @lru_cache(maxsize=256)
 def box_field(form: Form) -> BoxField | None:
-    """Return the distance field of a link that is a single box, or None for any other link."""
+    """Return the distance field of a link that consists of a single box, or None for any other link."""
     if not form.solid or len(form.shapes) != 1 or not isinstance(box := form.shapes[0][0], Box):
         return None
     pose = form.shapes[0][1]

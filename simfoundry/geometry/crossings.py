@@ -1,4 +1,4 @@
-"""Intersections of lines with an object whose convex parts are represented by half-spaces."""
+"""Intersections of lines with an object whose convex parts are represented as half-spaces."""
 
 from __future__ import annotations
 
@@ -13,20 +13,23 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry, tessellate
 
 SEGMENTS = 32
-"""Number of sides with which round shapes are approximated."""
+"""Number of sides used to approximate round shapes."""
 
 SLIVER = 1e-9
-"""Faces with a smaller share of the largest face's area are ignored: rounding errors dominate their normals."""
+"""Minimum area of a face, relative to the largest face. Smaller faces are ignored because their normals are dominated
+by rounding errors."""
 
 TOGETHER = 1e-3
-"""Largest gap on a line [m] across which parts are merged."""
+"""Maximum gap between two parts along a line [m] for the parts to be merged."""
 
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """Convex parts in the world: part k is ``normals @ x <= offsets`` for the rows from ``first[k]`` on.
+    """Convex parts in the world frame, represented as half-spaces.
 
-    ``corners`` [m], shape (n, 3), are the corners of all parts; ``owner``, shape (n,), is the part of each.
+    Part k is the set of points with ``normals @ x <= offsets`` for the rows from ``first[k]`` up to ``first[k + 1]``.
+    ``corners`` [m], shape (n, 3), contains the corners of all parts; ``owner``, shape (n,), is the part index of each
+    corner.
     """
 
     normals: Array
@@ -36,15 +39,16 @@ class HalfSpaces:
     owner: NDArray[np.intp]
 
     def rows(self, part: int) -> slice:
-        """Rows of the half-spaces of a part."""
+        """Return the rows that contain the half-spaces of a part."""
         return slice(int(self.first[part]), int([*self.first[1:], len(self.offsets)][part]))
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Segment of a line within one part, or several touching parts: from ``start`` to ``end`` along the line [m].
+    """A segment of a line inside one part or several touching parts, from ``start`` to ``end`` along the line [m].
 
-    ``facing`` is the smaller of the cosines between the line and the surface normals at its ends; 1 is perpendicular.
+    ``facing`` is the smaller of the two cosines between the line and the surface normals at the ends of the segment; it
+    is 1 if the line is perpendicular to both surfaces.
     """
 
     start: float
@@ -53,14 +57,14 @@ class Span:
 
     @property
     def width(self) -> float:
-        """Length [m]."""
+        """Length of the segment [m]."""
         return self.end - self.start
 
 
 def solid_of(
     shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True
 ) -> HalfSpaces:
-    """Return the half-spaces of posed shapes, restricted to parts whose corners [m] satisfy ``keep``."""
+    """Return the half-spaces of shapes with poses, including only parts whose corners [m] satisfy ``keep``."""
     normals, offsets, corners = [], [], []
     for geometry, X_WG in shapes:
         n, d, c = _half_spaces(geometry)
@@ -77,7 +81,7 @@ def solid_of(
 
 @lru_cache(maxsize=4096)
 def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
-    """Outward normals, offsets and corners of a convex geometry in its own frame, from its surface faces."""
+    """Return the outward face normals, plane offsets and corners of a convex geometry in its own frame."""
     surface = tessellate(geometry, SEGMENTS)
     a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
@@ -90,13 +94,19 @@ def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
 
 
 def bounds(shape: HalfSpaces, axes: Array) -> tuple[Array, Array]:
-    """Lowest and highest coordinates [m] along the columns of ``axes``, shapes (3,)."""
+    """Return the minimum and maximum coordinates [m] along the columns of ``axes``, shape (3,) each."""
     along = shape.corners @ axes
     return along.min(axis=0), along.max(axis=0)
 
 
 def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[Span]]:
-    """Segments of each line within the object, in order; ``starts`` [m], shape (n, 3), and a unit ``direction``."""
+    """Return the segments of each line that are inside the object, in order along the line.
+
+    Args:
+        shape: The object.
+        starts: Start points of the lines [m], shape (n, 3).
+        direction: Unit vector along all lines, shape (3,).
+    """
     slope = shape.normals @ direction
     room = shape.offsets - starts @ shape.normals.T
     entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
@@ -104,9 +114,17 @@ def crossings(shape: HalfSpaces, starts: Array, direction: Array) -> list[list[S
 
 
 def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
-    """Positions [m] at which lines enter and leave one part, shapes (lines,); entry exceeds exit for a miss.
+    """Return the positions along lines [m] at which they enter and leave one part.
 
-    ``starts`` [m], shape (lines, 3), share a unit ``direction``.
+    Args:
+        shape: The object.
+        part: Index of the part.
+        starts: Start points of the lines [m], shape (lines, 3).
+        direction: Unit vector along all lines, shape (3,).
+
+    Returns:
+        Entry and exit positions [m], shape (lines,) each. For a line that misses the part, the entry position is
+        greater than the exit position.
     """
     rows = shape.rows(part)
     alone = HalfSpaces(
@@ -118,7 +136,16 @@ def part_spans(shape: HalfSpaces, part: int, starts: Array, direction: Array) ->
 
 
 def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
-    """Outward normal of the face through which a line enters (sign -1) or leaves (1) a part at ``at`` [m]."""
+    """Return the outward normal of the face through which a line enters or leaves a part.
+
+    Args:
+        shape: The object.
+        start: Start point of the line [m], shape (3,).
+        direction: Unit vector along the line, shape (3,).
+        part: Index of the part.
+        at: Position of the intersection along the line [m].
+        sign: -1 if the line enters the part, 1 if it leaves the part.
+    """
     rows = shape.rows(part)
     slope = shape.normals[rows] @ direction
     room = shape.offsets[rows] - shape.normals[rows] @ start
@@ -127,7 +154,7 @@ def face_normal(shape: HalfSpaces, start: Array, direction: Array, part: int, at
 
 
 def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]:
-    """Mark the rays from a point [m], shape (3,), that hit the object; ``directions``, shape (n, 3)."""
+    """Return a mask of the rays from ``start`` [m] that hit the object; ``directions`` has shape (n, 3)."""
     slope = directions @ shape.normals.T
     room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
     entry, leave = _clipped(shape, room, slope)
@@ -135,7 +162,7 @@ def met(shape: HalfSpaces, start: Array, directions: Array) -> NDArray[np.bool_]
 
 
 def _clipped(shape: HalfSpaces, room: Array, slope: Array) -> tuple[Array, Array]:
-    """Entry and exit of lines in each part [m], shapes (lines, parts)."""
+    """Return the entry and exit positions of lines in each part [m], shape (lines, parts) each."""
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / slope
     beside = (np.abs(slope) <= 1e-9) & (room < 0)
@@ -160,7 +187,10 @@ def _merged(shape: HalfSpaces, room: Array, slope: Array, entry: Array, leave: A
 
 
 def _facing(shape: HalfSpaces, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
-    """Cosine between a line and the face of a part through which it enters (sign -1) or leaves (1) at ``at`` [m]."""
+    """Return the cosine between a line and the normal of the face where it enters or leaves a part at ``at`` [m].
+
+    ``sign`` is -1 if the line enters the part, 1 if it leaves the part.
+    """
     rows = shape.rows(part)
     through = sign * slope[rows]
     off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)

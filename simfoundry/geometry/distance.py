@@ -1,6 +1,6 @@
 """Signed distances between links in many states: bounds, candidate pairs of nearest parts, and exact values.
 
-Exact distances come from MuJoCo's collision functions at poses that we set.
+Exact distances are computed by MuJoCo's collision functions, with geom poses that this module sets directly.
 """
 
 from __future__ import annotations
@@ -17,17 +17,25 @@ from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 LIFT = 0.001
-"""Height by which an object is raised to find contact directions [m]: larger than the penetration that engines allow,
-smaller than the radii of round parts."""
+"""Height by which an object is raised to find contact directions [m]. It is larger than the penetration that engines
+allow and smaller than the radii of round parts."""
 
 VANISHING = 1e-5
-"""Distance or penetration [m] below which the direction between parts is undefined: distances are accurate to 1e-6."""
+"""Distance or penetration [m] below which the direction between two parts is treated as undefined; distances are
+accurate to 1e-6 m."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class Candidates(NamedTuple):
-    """Pairs of parts, (m,): the state, the part's index in each link, and a lower bound of their distance [m]."""
+    """Pairs of parts that may be close to each other, as arrays of shape (m,).
+
+    Attributes:
+        state: Index of the state.
+        one: Index of the part in the first link.
+        other: Index of the part in the second link.
+        bound: Lower bound on the distance between the two parts [m].
+    """
 
     state: Index
     one: Index
@@ -36,11 +44,15 @@ class Candidates(NamedTuple):
 
 
 Shapes = Sequence[tuple[Geometry, Pose]]
-"""Shapes with their poses in a link."""
+"""Shapes, each with its pose in the link frame."""
 
 
 class Exact:
-    """Shapes of links, by name and index, as MuJoCo geoms; MuJoCo neither steps nor places them."""
+    """Exact distances between links, whose shapes are represented by MuJoCo geoms.
+
+    Links are identified by object name and link index. MuJoCo only measures distances: the geom poses are set here, and
+    the model is never stepped.
+    """
 
     def __init__(self, links: Mapping[tuple[str, int], Shapes]) -> None:
         import mujoco
@@ -58,10 +70,16 @@ class Exact:
         self._X_LG = Poses.of(self._model.geom_pos, self._model.geom_quat)
 
     def distance(self, pair: LinkPair, near: Candidates, most: Array, enough: float = -np.inf) -> Array:
-        """Signed distance [m] between two links, (n,), negative if they overlap; at most ``most`` [m], (n,).
+        """Compute the signed distance between two links in each state.
 
-        ``near`` are the parts that may be closer than that. The search ends at parts no farther apart than ``enough``
-        [m].
+        Args:
+            pair: The two links.
+            near: Pairs of parts that may be closer than ``most``.
+            most: Maximum distance to return [m], shape (n,).
+            enough: Distance [m] at or below which the search in a state ends.
+
+        Returns:
+            Signed distances [m], shape (n,), negative if the links overlap.
         """
         first, second, place = self._placing(pair, pair.X_WA)
         measure, model, data = self._distance, self._model, self._data
@@ -80,13 +98,21 @@ class Exact:
     def pushes(
         self, pair: LinkPair, near: Candidates, limit: float, enough: float = np.inf
     ) -> tuple[Index, Array, Array]:
-        """Directions in which parts of one link push parts of another that are no farther than ``limit`` [m].
+        """Return the directions in which parts of the second link push nearby parts of the first link.
 
-        Returns the state of each such pair, (m,), its distance [m], (m,), and the unit vector from the second to the
-        first, (m, 3). A direction whose cosine with up is at least ``enough`` ends the search in its state.
+        The first link is raised by :data:`LIFT` for the measurement, because the direction between two parts that
+        barely touch is undefined.
 
-        The first link is raised by :data:`LIFT` for the measurement, because the direction between parts that just
-        touch is undefined.
+        Args:
+            pair: The two links.
+            near: Pairs of parts that may be close enough.
+            limit: Maximum distance between two parts [m].
+            enough: Once the cosine between a direction and the vertical reaches this value, the search in that state
+                ends.
+
+        Returns:
+            The state index of each pair of parts, shape (m,), the distance between the parts [m], shape (m,), and the
+            unit vector from the second part to the first, shape (m, 3).
         """
         first, second, place = self._placing(pair, Poses(pair.X_WA.p + LIFT * UP, pair.X_WA.R))
         measure, model, data, ends = self._distance, self._model, self._data, np.zeros(6)
@@ -102,7 +128,7 @@ class Exact:
             raised = measure(model, data, first + i, second + j, reach, ends)
             if raised > limit + LIFT:
                 continue
-            if abs(raised) < VANISHING:  # raising has made it just touch: raise it slightly more
+            if abs(raised) < VANISHING:  # the raised parts barely touch: raise the first one slightly more
                 data.geom_xpos[first + i, 2] += VANISHING
                 raised = measure(model, data, first + i, second + j, reach, ends)
                 data.geom_xpos[first + i, 2] -= VANISHING
@@ -121,7 +147,7 @@ class Exact:
         """Return the first geom of each link, and a function that places both links in a state."""
         geoms_a, geoms_b = self._geoms[pair.a], self._geoms[pair.b]
         at = (*self._poses(geoms_a, X_WA), *self._poses(geoms_b, pair.X_WB))
-        first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link follow one another
+        first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link have consecutive indices
         rows_a, rows_b = slice(first, first + len(geoms_a)), slice(second, second + len(geoms_b))
         xpos, xmat = self._data.geom_xpos, self._data.geom_xmat
 
@@ -131,14 +157,14 @@ class Exact:
         return first, second, place
 
     def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
-        """Positions and rotations of the geoms of a link: (n, geoms, 3) and (n, geoms, 9)."""
+        """Return the positions, shape (n, geoms, 3), and rotations, shape (n, geoms, 9), of a link's geoms."""
         p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
         turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
         return p, turn.reshape(len(p), -1, 9)
 
 
 def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
-    """Add a geom to a model's world body; ``meshes`` are the names of its meshes, by identity."""
+    """Add a geom to the world body of a model; ``meshes`` maps the ``id`` of each mesh added so far to its name."""
     import mujoco
 
     kinds = mujoco.mjtGeom
@@ -167,15 +193,15 @@ def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str])
 
 
 def steepest_together(ways: Array) -> float:
-    """Largest cosine with up of any non-negative combination of unit vectors, (k, 3)."""
+    """Return the largest cosine between the vertical and any nonnegative combination of unit vectors, shape (k, 3)."""
     from scipy.optimize import nnls
 
-    # The best combination is the projection of up onto the cone that the vectors span: its length is the cosine.
+    # The best combination is the projection of `UP` onto the cone spanned by the vectors; its length is the cosine.
     return float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2)))
 
 
 class LinkPair:
-    """Two links, by name and index, in n states."""
+    """Two links, each identified by object name and link index, in n states."""
 
     def __init__(
         self, a: tuple[str, int], b: tuple[str, int], one: Form, other: Form, X_WA: Poses, X_WB: Poses
@@ -183,14 +209,18 @@ class LinkPair:
         self.a, self.b, self.one, self.other, self.X_WA, self.X_WB = a, b, one, other, X_WA, X_WB
 
     def at(self, index: Index) -> LinkPair:
-        """Select states."""
+        """Select states by index."""
         return LinkPair(self.a, self.b, self.one, self.other, self.X_WA.at(index), self.X_WB.at(index))
 
 
 def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
-    """Bounds of distances [m], (n,), and the states in which they do not decide the side of the threshold.
+    """Compute distance bounds, which are useful only if one link is a single box.
 
-    If a link is a single box, the corners of the other link's hull decide nearly all states.
+    Nearly all states can then be decided from the corners of the other link's hull.
+
+    Returns:
+        A bound on the distance in each state [m], shape (n,), and the indices of the states for which the bounds do not
+        tell on which side of the threshold the distance is.
     """
     if (seen := from_box(pair)) is None:
         n = len(pair.X_WA.p)
@@ -201,9 +231,14 @@ def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
 
 
 def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, Array, Index]:
-    """Bounds of the distance [m] and of the support cosine, (n,) each, and the undecided states.
+    """Compute bounds on distance and support, which are useful only if one link is a single box.
 
-    If a link is a single box, the corners of the other link's hull usually decide that it is far away or supported.
+    The corners of the other link's hull are then usually enough to tell whether the first link is out of reach or
+    supported.
+
+    Returns:
+        A bound on the distance [m] and a bound on the support cosine in each state, shape (n,) each, and the indices of
+        the undecided states.
     """
     n = len(pair.X_WA.p)
     if (seen := from_box(pair)) is None:
@@ -217,7 +252,7 @@ def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, A
 
 
 def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Index) -> Index:
-    """Write bounds of the undecided distances [m] into ``found``, (n,); return the states still undecided."""
+    """Write bounds on the undecided distances [m] to ``found``, shape (n,), and return the states still undecided."""
     left = []
     for k in open_.tolist():
         bounds = _part_bounds(pair, k, threshold)
@@ -231,7 +266,10 @@ def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Inde
 
 
 def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, up: Array, open_: Index) -> Index:
-    """Decide :func:`box_support` by parts: update ``apart`` and ``up``, (n,) each; return the undecided states."""
+    """Decide the states that :func:`box_support` left open, using distance bounds between parts.
+
+    Updates ``apart`` and ``up``, shape (n,) each, in place and returns the states that are still undecided.
+    """
     left = []
     for k in open_.tolist():
         bounds = _part_bounds(pair, k, limit)
@@ -247,16 +285,21 @@ def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, 
 
 
 def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:
-    """Bounds of the distance in the k-th state with the first link raised [m]."""
+    """Return bounds on the distance in the k-th state with the first link raised by ``raised`` [m]."""
     X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
     return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
 
 
 class FromBox(NamedTuple):
-    """Hull of one link of a pair in the frame of the other, which is a single box, in n states.
+    """The hull of one link of a pair, expressed in the frame of the other link, which is a single box, in n states.
 
-    ``local`` [m], (n, m, 3), are points with a ``radius`` [m] each, which lie between ``low`` and ``high`` [m], (n, 3);
-    ``up`` is the direction of their motion in that frame when the first link of the pair is raised, (n, 3).
+    Attributes:
+        field: Distance field of the box.
+        local: Centers of the balls that span the hull [m], shape (n, m, 3).
+        radius: Radii of the balls [m], shape (m,).
+        low: Minimum corner of the hull's bounding box [m], shape (n, 3).
+        high: Maximum corner of the hull's bounding box [m], shape (n, 3).
+        up: Direction in which the hull moves relative to the box if the pair's first link is raised, shape (n, 3).
     """
 
     field: BoxField
@@ -267,17 +310,17 @@ class FromBox(NamedTuple):
     up: NDArray[np.float32]
 
     def lower(self, raised: float = 0.0) -> Array:
-        """Lower bound of the distance [m], (n,), with the first link raised [m]."""
+        """Return a lower bound on the distance [m], shape (n,), with the first link raised by ``raised`` [m]."""
         move = np.float32(raised) * self.up
         return self.field.lower(self.low + move, self.high + move)
 
     def upper(self) -> Array:
-        """Upper bound of the distance [m], (n,)."""
+        """Return an upper bound on the distance [m], shape (n,)."""
         return self.field.upper(self.local, self.radius)
 
 
 def from_box(pair: LinkPair) -> FromBox | None:
-    """Return a pair of links in the frame of the one that is a single box; None if neither is."""
+    """Express a pair of links in the frame of the link that is a single box; return None if neither link is."""
     one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
     if box_field(other) is None:
         one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
@@ -295,7 +338,10 @@ def from_box(pair: LinkPair) -> FromBox | None:
 
 
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """Lower bound of the distance of two links [m], (n,): from the bounding ball of each to the box of the other."""
+    """Return a lower bound on the distance between two links [m], shape (n,).
+
+    The bound is the distance from each link's bounding sphere to the other link's bounding box.
+    """
     (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
     middle_a, middle_b = X_WA.p + X_WA.R @ ball_a, X_WB.p + X_WB.R @ ball_b
     b_in_a = rotate(X_WA.R.transpose(0, 2, 1), middle_b - X_WA.p)
@@ -306,7 +352,7 @@ def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
 
 
 def candidates(pair: LinkPair, most: Array) -> Candidates:
-    """Part pairs of two links that may be closer than ``most`` [m], (n,), by state, nearest first."""
+    """Return the pairs of parts that may be closer than ``most`` [m], shape (n,), by state, nearest first."""
     X_AB = pair.X_WA.inverse() @ pair.X_WB
     low_a, high_a, ball_a, size_a = pair.one.pieces
     low_b, high_b, ball_b, size_b = pair.other.pieces
@@ -325,6 +371,6 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:
-    """Distances of points outside of boxes [m]; 0 within."""
+    """Return the distances from points to boxes [m]; 0 for points inside."""
     off = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

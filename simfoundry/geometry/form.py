@@ -1,4 +1,4 @@
-"""Rigid bodies prepared for measurements: convex parts, extents and bounding balls."""
+"""Rigid bodies preprocessed for measurements: convex parts, extents and bounding spheres."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from simfoundry.geometry.shapes import Geometry
 TURNED = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0]])
 TURNED[3:] /= np.sqrt(2)
 TURNED.setflags(write=False)
-"""Axes of an object's bounding boxes: its own, and those rotated by 45 degrees about z; shape (5, 3)."""
+"""Axes of an object's bounding boxes, shape (5, 3): its own axes, and x and y rotated by 45 degrees about z."""
 
 FEW = 16
-"""Number of states up to which each is measured by itself; more states repay the preparation of shared data."""
+"""Maximum number of states that are measured one by one; for more states, precomputing shared data pays off."""
 
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """Shapes of a rigid body in its frame, and their convex parts.
+    """The shapes of a rigid body in the body frame, and their convex parts.
 
-    A form that is not ``solid`` touches nothing: its shapes are only visual. ``low`` and ``high`` [m] are the extents
+    A form that is not ``solid`` has only visual shapes and never collides. ``low`` and ``high`` [m] are the extents
     along :data:`TURNED`, shape (5,).
     """
 
@@ -37,7 +37,7 @@ class Form:
 
     @classmethod
     def of(cls, shapes: Iterable[tuple[Geometry, Pose]], solid: bool = True) -> Form:
-        """Return the form of posed shapes; the meshes of a solid form must be convex."""
+        """Create a form from shapes with poses; all meshes in a solid form must be convex."""
         shapes = tuple(shapes)
         return cls(shapes, solid, hulls_of((geometry, pose, 0) for geometry, pose in shapes))
 
@@ -51,9 +51,9 @@ class Form:
         return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
 
     def support(self, states: int) -> tuple[Array, Array]:
-        """Return points [m], (m, 3), and radii [m], (m,), of balls with the same convex hull as the parts.
+        """Return centers [m], shape (m, 3), and radii [m], shape (m,), of balls with the same convex hull as the parts.
 
-        Corners inside the hull are removed only for many states; for few it is not worth the time.
+        Corners inside the hull are removed only if there are many states; for a few, it would not save time.
         """
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
@@ -65,30 +65,35 @@ class Form:
 
     @property
     def low(self) -> Array:
-        """Lower extents along :data:`TURNED` [m], (5,)."""
+        """Lower extents along :data:`TURNED` [m], shape (5,)."""
         return self._span[0]
 
     @property
     def high(self) -> Array:
-        """Upper extents along :data:`TURNED` [m], (5,)."""
+        """Upper extents along :data:`TURNED` [m], shape (5,)."""
         return self._span[1]
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
-        """Bounding ball: center [m], shape (3,), and radius [m]."""
+        """Center [m], shape (3,), and radius [m] of the bounding sphere."""
         middle = (self.low[:3] + self.high[:3]) / 2
         points, radius = self.support(1)
         return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
 
     @cached_property
     def digest(self) -> bytes:
-        """SHA-256 of the parts: equal for forms with the same parts."""
+        """SHA-256 hash of the parts."""
         arrays = (self.parts.corners, self.parts.part, self.parts.radius, self.parts.triangles)
         return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in arrays)).digest()
 
     @cached_property
     def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Bounds of each part: the two corners of its box [m], (k, 3) each, and a ball around it, (k, 3) and (k,)."""
+        """Bounds of each part [m].
+
+        Returns:
+            The minimum and maximum corners of the bounding boxes, shape (k, 3) each, followed by the centers, shape
+            (k, 3), and the radii, shape (k,), of the bounding spheres.
+        """
         rows = []
         for k in range(len(self.parts.radius)):
             corners, r = self.parts.corners[self.parts.part == k], float(self.parts.radius[k])
@@ -99,14 +104,14 @@ class Form:
         return np.array(low), np.array(high), np.array(middle), np.array(size)
 
     def part_shape(self, number: int) -> tuple[Array, Array, Array]:
-        """Return the corners [m], the unit normals of the faces and the unit directions of the edges of a part."""
+        """Return the corners [m], unit face normals and unit edge directions of a part."""
         if number not in self._part_shapes:
             parts = self.parts
             own = parts.part == number
             normals, edges = np.zeros((0, 3)), np.zeros((0, 3))
             if len(parts.triangles):
                 normals = parts.normals[own[parts.triangles[:, 0]]]
-                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # a face without area has no normal
+                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # degenerate faces have zero normals
             if len(parts.edges):
                 ends = parts.edges[own[parts.edges[:, 0]]]
                 edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
@@ -125,14 +130,17 @@ def _distinct(ways: Array) -> Array:
 
 
 def _is_backward(ways: Array) -> NDArray[np.bool_]:
-    """Mark directions whose first non-zero coordinate is negative: exactly one of two opposite directions."""
+    """Return a mask of directions whose first nonzero coordinate is negative.
+
+    Exactly one of two opposite directions is marked.
+    """
     rounded = np.round(ways, 9)
     first = (rounded != 0).argmax(axis=1)
     return np.asarray(rounded[np.arange(len(ways)), first] < 0)
 
 
 def _hull_corners(points: Array) -> Array:
-    """Corners of the convex hull of points, in their order; all points if they have no volume."""
+    """Return the points on the convex hull, in their original order, or all points if the hull has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 5:

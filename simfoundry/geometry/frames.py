@@ -1,8 +1,8 @@
-"""Rigid poses, one or arrays of them, and the only conversion between quaternion orders.
+"""Rigid transforms (single poses and batches), and the only conversion between quaternion orders.
 
 ``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
-:func:`to_xyzw` and :func:`from_xyzw` convert for formats with the other order (PyBullet, numpy views of USD
-quaternions).
+:func:`to_xyzw` and :func:`from_xyzw` convert to and from formats that use the ``xyzw`` order (PyBullet, numpy views of
+USD quaternions).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Pose:
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
         """Build a pose from any position and any non-zero quaternion (normalized, with ``w >= 0``)."""
-        w, x, y, z = map(float, q)  # four numbers: plain Python is faster than arrays
+        w, x, y, z = map(float, q)  # for four numbers, plain Python is faster than numpy arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
             raise ValueError(f"a rotation needs a non-zero quaternion, got {[w, x, y, z]}")
@@ -48,7 +48,7 @@ class Pose:
 
     @classmethod
     def from_matrix(cls, matrix: Array) -> Pose:
-        """Build a pose from a homogeneous 4x4 matrix, or from a 3x3 rotation."""
+        """Build a pose from a homogeneous 4x4 matrix or a 3x3 rotation matrix."""
         matrix = np.asarray(matrix, dtype=np.float64)
         p = matrix[:3, 3] if matrix.shape == (4, 4) else np.zeros(3)
         return cls.of(p, quat_from_matrix(matrix[:3, :3]))
@@ -73,30 +73,30 @@ class Pose:
 
     @cached_property
     def is_identity(self) -> bool:
-        """True for exactly the identity."""
+        """True if the pose is exactly the identity."""
         return self is IDENTITY or (not any(self.p.tolist()) and bool(self.q[0] == 1.0))
 
     def inverse(self) -> Pose:
-        """``X_BA`` of this ``X_AB``."""
+        """Return the inverse transform ``X_BA``."""
         q = self.q * np.array([1.0, -1.0, -1.0, -1.0])
         return Pose.of(-(matrix_from_quat(q) @ self.p), q)
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Compose: ``X_AC = X_AB @ X_BC``."""
+        """Compose two transforms: ``X_AC = X_AB @ X_BC``."""
         if other.is_identity:
             return self
         return Pose.of(self.p + self.rotation @ other.p, quat_multiply(self.q, other.q))
 
     def apply(self, points: Array) -> Array:
-        """Map points from B to A, shape (..., 3)."""
+        """Transform points, shape (..., 3), from frame B to frame A."""
         return np.asarray(points) @ self.rotation.T + self.p
 
     def angle_about(self, axis: Array) -> float:
-        """The angle [rad] of the part of the rotation that is about a unit axis, shape (3,), in [-pi, pi]."""
+        """Return the twist angle of the rotation about a unit axis, shape (3,), in [-pi, pi] [rad]."""
         return 2.0 * math.atan2(float(self.q[1:] @ axis), float(self.q[0]))
 
     def angle_to(self, other: Pose) -> float:
-        """The angle between the two rotations [rad], in [0, pi]."""
+        """Return the angle between the rotations of the two poses [rad], in [0, pi]."""
         relative = quat_multiply(self.q * np.array([1.0, -1.0, -1.0, -1.0]), other.q)
         return 2.0 * math.atan2(float(np.linalg.norm(relative[1:])), abs(float(relative[0])))
 
@@ -105,7 +105,7 @@ IDENTITY = Pose.of()
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
-    """Hamilton product of two wxyz quaternions."""
+    """Return the Hamilton product of two wxyz quaternions."""
     aw, ax, ay, az = map(float, a)
     bw, bx, by, bz = map(float, b)
     return np.array(
@@ -119,7 +119,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 
 def matrix_from_quat(q: Array) -> Array:
-    """Rotation matrix of a unit wxyz quaternion, shape (3, 3)."""
+    """Convert a unit wxyz quaternion to a rotation matrix, shape (3, 3)."""
     w, x, y, z = map(float, q)  # numpy scalars are slower than Python floats
     return np.array(
         [
@@ -131,7 +131,10 @@ def matrix_from_quat(q: Array) -> Array:
 
 
 def quat_from_matrix(rotation: Array) -> Array:
-    """Unit wxyz quaternion of a rotation matrix, by the largest-diagonal branch (stable near 180 degrees)."""
+    """Convert a rotation matrix to a unit wxyz quaternion.
+
+    The computation branches on the largest diagonal element, which keeps it stable near 180 degrees.
+    """
     r = np.asarray(rotation, dtype=np.float64)
     trace = float(r[0, 0] + r[1, 1] + r[2, 2])
     candidates = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
@@ -149,7 +152,10 @@ def quat_from_matrix(rotation: Array) -> Array:
 
 
 def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Wxyz quaternion of fixed-axis roll-pitch-yaw [rad], ``R = Rz(yaw) Ry(pitch) Rx(roll)`` as in URDF."""
+    """Convert fixed-axis roll, pitch and yaw [rad] to a wxyz quaternion.
+
+    The convention is that of URDF: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+    """
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -164,7 +170,7 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def rpy_from_quat(q: Array) -> Array:
-    """Fixed-axis roll-pitch-yaw [rad] of a unit wxyz quaternion (URDF order), shape (3,)."""
+    """Convert a unit wxyz quaternion to fixed-axis roll, pitch and yaw [rad] as in URDF, shape (3,)."""
     r = matrix_from_quat(q).tolist()
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
     if (
@@ -175,9 +181,9 @@ def rpy_from_quat(q: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products along the last axis, five times as fast as numpy's own for few vectors.
+    """Return cross products along the last axis; for a few vectors, this is five times as fast as ``np.cross``.
 
-    The sign flips exactly if the arguments are swapped, so that triangles treat a shared edge alike.
+    Swapping the arguments flips exactly the sign, so two triangles compute the same values for a shared edge.
     """
     ax, ay, az = np.moveaxis(a, -1, 0)
     bx, by, bz = np.moveaxis(b, -1, 0)
@@ -185,7 +191,10 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
-    """Camera pose ``X_WC`` (OpenCV axes: x right, y down, z forward) at ``eye`` looking at ``target``."""
+    """Return the pose ``X_WC`` of a camera at ``eye`` that looks at ``target``.
+
+    The camera frame uses OpenCV axes: x right, y down, z forward.
+    """
     forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
     norm = float(np.linalg.norm(forward))
     if norm < 1e-9:
@@ -202,12 +211,12 @@ def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
 
 
 def to_xyzw(q: Array) -> Array:
-    """Convert wxyz to xyzw."""
+    """Convert quaternions from wxyz to xyzw order."""
     return np.asarray(q)[..., [1, 2, 3, 0]]
 
 
 def from_xyzw(q: object) -> Array:
-    """Convert xyzw to wxyz."""
+    """Convert quaternions from xyzw to wxyz order."""
     return np.asarray(q, dtype=np.float64)[..., [3, 0, 1, 2]]
 
 
@@ -215,14 +224,17 @@ Index = NDArray[np.int64]
 
 
 class Poses(NamedTuple):
-    """n poses ``X_AB``: positions ``p`` [m], shape (n, 3), and rotation matrices ``R``, shape (n, 3, 3)."""
+    """A batch of n poses ``X_AB``: positions ``p`` [m], shape (n, 3), and rotation matrices ``R``, shape (n, 3, 3)."""
 
     p: Array
     R: Array
 
     @classmethod
     def of(cls, p: Array, q: Array) -> Poses:
-        """Create poses from positions (n, 3) and non-zero wxyz quaternions (n, 4), which need not be normalized."""
+        """Create poses from positions, shape (n, 3), and nonzero wxyz quaternions, shape (n, 4).
+
+        The quaternions do not need to be normalized.
+        """
         return cls(np.asarray(p, dtype=np.float64), rotations(np.asarray(q, dtype=np.float64)))
 
     @classmethod
@@ -234,7 +246,7 @@ class Poses(NamedTuple):
         return Poses(self.p + rotate(self.R, other.p), self.R @ other.R)
 
     def times(self, pose: Pose) -> Poses:
-        """Compose with a common ``X_BC``: n poses ``X_AC``."""
+        """Compose each pose with the same ``X_BC`` and return the n poses ``X_AC``."""
         if pose.is_identity:
             return self
         return Poses(self.p + self.R @ pose.p, self.R @ pose.rotation)
@@ -245,17 +257,17 @@ class Poses(NamedTuple):
         return Poses(-rotate(turned, self.p), turned)
 
     def at(self, index: Index) -> Poses:
-        """Select the poses of some states."""
+        """Select poses by index."""
         return Poses(self.p[index], self.R[index])
 
 
 def rotate(turn: Array, v: Array) -> Array:
-    """Rotate each vector by its own rotation matrix: (n, 3, 3), (n, 3) to (n, 3)."""
+    """Rotate each vector in ``v``, shape (n, 3), by the corresponding matrix in ``turn``, shape (n, 3, 3)."""
     return np.asarray((turn @ v[:, :, None])[:, :, 0])
 
 
 def rotations(q: Array) -> Array:
-    """Rotation matrices, shape (n, 3, 3), of quaternions wxyz, shape (n, 4)."""
+    """Convert wxyz quaternions, shape (n, 4), to rotation matrices, shape (n, 3, 3)."""
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     out = np.empty((len(q), 3, 3))
     out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -268,7 +280,7 @@ _UNTURNED = np.eye(3)
 
 
 class Turn:
-    """Rotations about one unit axis, shape (3,)."""
+    """Rotations about a fixed unit axis, shape (3,)."""
 
     def __init__(self, axis: Array) -> None:
         x, y, z = axis
@@ -276,6 +288,6 @@ class Turn:
         self._square = self._skew @ self._skew
 
     def by(self, angle: Array) -> Array:
-        """Return the rotation matrices for angles [rad], (n,), shape (n, 3, 3)."""
+        """Return the rotation matrices, shape (n, 3, 3), for angles [rad], shape (n,)."""
         s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
         return np.asarray(_UNTURNED + s * self._skew + (1 - c) * self._square)

@@ -1,12 +1,13 @@
 """Width of an object between two parallel fingers that approach it from straight above.
 
 Each finger is a flat pad. It moves down beside the object or into it (a cup is grasped by its wall), so it needs
-clearance beside the grasped part, from its tip upward. The pads make contact first where the object between them, above
-their tips, is widest. A grasp counts if it can hold:
+clearance beside the grasped part, from the fingertip upward. The pads first make contact at the widest point of the
+object above the fingertips. A grasp is valid if all of these conditions are met:
 
-* at least one pad lies flat on the object over the width of the pad (:data:`UNEVEN`); the other may touch a ridge,
-* both pads touch faces that are oriented toward them (:data:`FACING`), and
-* the object does not narrow upward between them (:data:`WEDGE`): a ball is held at its equator, a plate's rim is not.
+* At least one pad is flat against the object over the width of the pad (:data:`UNEVEN`). The other may touch a ridge.
+* Both pads touch faces that are oriented toward them (:data:`FACING`).
+* The object does not taper upward between the pads (:data:`WEDGE`). For example, a ball can be grasped at its equator,
+  but a plate cannot be grasped by its rim.
 
 Only the shape is considered; reachability and neighboring objects are checked elsewhere.
 """
@@ -22,54 +23,58 @@ import numpy as np
 from simfoundry.geometry.crossings import TOGETHER, HalfSpaces, bounds, face_normal, part_spans
 
 DIRECTIONS = 12
-"""Number of closing directions over half a turn: every 15 degrees, starting with the dominant normal of the side faces.
-Boxes and prisms are measured squarely; for other shapes the error is at most 7.5 degrees, which makes a width 0.9 % too
-large."""
+"""Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
+faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
+makes the width at most 0.9 % too large."""
 
 PAD = 0.016
 """Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM."""
 
 SMALL_SHARE = 0.25
-"""Share of an object covered by a pad if the object is narrower than four pads: a standing marker is held by its round
-side."""
+"""Width of a pad as a fraction of the object's width, for objects narrower than four pads. With it, a standing marker
+can be grasped by its round side."""
 
 ROOM = 0.020
-"""Clearance that a finger needs beside the grasped part [m]: 12 mm of finger, and 4 mm on either side for the
+"""Clearance that a finger needs beside the grasped part [m]: 12 mm for the finger, plus 4 mm on either side for the
 approach."""
 
 SHALLOWEST, FINGER_LENGTH = 0.010, 0.040
-"""Range of depths of the fingertips below the top of an object [m]: pads are about 20 mm long and need contact on at
-least half of that; at 40 mm the palm touches the object. Tall objects are grasped down to their middle."""
+"""Minimum and maximum depth of the fingertips below the top of an object [m]. Pads are about 20 mm long and need
+contact over at least half of their length; at a depth of 40 mm, the palm touches the object. Tall objects are grasped
+down to half their height."""
 
 SOLE = 0.001
-"""Least height of the fingertips above the bottom of an object [m], which usually stands on a surface."""
+"""Minimum height of the fingertips above the bottom of an object [m], because it usually stands on a surface."""
 
 UPRIGHT = 1e-3
-"""Largest vertical component of the unit normal of an upright face: a slope of a millimeter per meter."""
+"""Maximum vertical component of the unit normal of an upright face; this is a slope of one millimeter per meter."""
 
 UNEVEN = 0.25
-"""Depth by which a face may recede over the width of a pad, as a share of that width: 14 degrees, within the friction
-cone of rubber on any material (coefficient of 0.3 or more)."""
+"""Maximum depth by which a face may recede over the width of a pad, as a fraction of that width. This corresponds to
+14 degrees, which is within the friction cone of rubber on any material (a coefficient of at least 0.3)."""
 
 FACING = 0.9
-"""Least cosine between the normals of a pad and of the face that it touches: 26 degrees, the friction cone of a
-coefficient of 0.5, that of rubber pads on dry plastic, glazed ceramic or wood."""
+"""Minimum cosine between the normal of a pad and the normal of the face that it touches. This corresponds to 26
+degrees, the friction cone for a coefficient of 0.5 (rubber pads on dry plastic, glazed ceramic or wood)."""
 
 WEDGE = 0.2
-"""Largest upward component of the mean of the two normals: beyond it, the object slips out of the pads if the friction
-coefficient is below 0.2, as on wet or polished surfaces. On a ball, pads may be 12 degrees above the equator."""
+"""Maximum upward component of the mean of the two face normals. Beyond it, the object slips out of the pads if the
+friction coefficient is below 0.2, as for wet or polished surfaces. On a ball, the pads may be up to 12 degrees above
+the equator."""
 
 LINES = 5
-"""Number of lines across a pad, from edge to edge: at most 4 mm apart, the thickness of the thinnest usable handle."""
+"""Number of lines across a pad, from edge to edge. They are at most 4 mm apart, the thickness of the thinnest usable
+handle."""
 
 ROWS, ROW = (8, 24), 0.004
-"""Least and greatest number of fingertip depths to try, and the spacing between them [m]: an 8 mm bar is hit twice."""
+"""Minimum and maximum number of fingertip depths to try, and the spacing between them [m]. With this spacing, two
+depths hit a bar that is 8 mm thick."""
 
 
 class _Run(NamedTuple):
-    """Intersection of a finger line with the object above some depth.
+    """The intersection of a finger line with the part of the object above a depth, from ``start`` to ``end`` [m].
 
-    It reaches from ``start`` to ``end`` [m]; the line and the part at either end are recorded.
+    ``first`` and ``last`` contain the line index and part index at the start and at the end.
     """
 
     start: float
@@ -79,9 +84,10 @@ class _Run(NamedTuple):
 
 
 def grasp_width(solid: HalfSpaces) -> float:
-    """Return the least opening [m] of two fingers from above that hold an object in its pose; inf if none does.
+    """Return the smallest gripper opening [m] that can grasp an object from above in its current pose.
 
-    The width is measured between the outermost points of the grasped part, on lines a few millimeters apart.
+    The width is measured between the outermost points of the grasped part, along lines a few millimeters apart. The
+    result is inf if no grasp is valid.
     """
     best, first = math.inf, _main_direction(solid)
     for k in range(DIRECTIONS):
@@ -90,7 +96,10 @@ def grasp_width(solid: HalfSpaces) -> float:
 
 
 def _main_direction(solid: HalfSpaces) -> float:
-    """Azimuth [rad] in [0, pi), to a degree, of the dominant normal of the upright faces; 0 if there are none."""
+    """Return the azimuth of the dominant normal of the upright faces [rad], in [0, pi); 0 if there are no such faces.
+
+    The dominant normal is chosen from a histogram with bins of one degree.
+    """
     upright = solid.normals[np.abs(solid.normals[:, 2]) < UPRIGHT]
     if not len(upright):
         return 0.0
@@ -100,7 +109,7 @@ def _main_direction(solid: HalfSpaces) -> float:
 
 
 class _Closing:
-    """Everything that fingers closing along one horizontal direction may grasp."""
+    """Candidate grasps for fingers that close along one horizontal direction."""
 
     def __init__(self, solid: HalfSpaces, azimuth: float) -> None:
         self._solid = solid
@@ -114,7 +123,7 @@ class _Closing:
         shallow = min(SHALLOWEST, height / 2)
         deep = max(height / 2, min(FINGER_LENGTH, height - SOLE))
         rows = int(np.clip(math.ceil((deep - shallow) / ROW) + 1, *ROWS))
-        # Nothing above the shallowest fingertips is grasped, but it must fit between the fingers.
+        # Grasps above the minimum depth are not considered, but that part of the object must fit between the fingers.
         depths = np.concatenate([[0.02 * shallow, 0.5 * shallow], np.linspace(shallow, deep, rows)])
         self._skipped = 2
         a, z = np.meshgrid(across, high[2] - depths, indexing="xy")
@@ -131,7 +140,7 @@ class _Closing:
                     self._met[at // lines][at % lines].append(_Run(first, last, (at, part), (at, part)))
 
     def narrowest(self, best: float) -> float:
-        """Return the least width [m] below ``best``, or ``best``."""
+        """Return the smallest width of a valid grasp [m], or ``best`` if none is smaller."""
         lines = len(self._met[0])
         above: list[list[_Run]] = [[] for _ in range(lines)]
         for row, met in enumerate(self._met):
@@ -141,13 +150,13 @@ class _Closing:
             if row < self._skipped:
                 continue
             for line in range(lines - LINES + 1):
-                # Below the upright faces nothing changes, so deeper fingertips find no further widths.
+                # If no line has changed since the previous depth, the widths have not changed either.
                 if row == self._skipped or any(changed[line : line + LINES]):
                     best = self._between(above[line : line + LINES], best)
         return best
 
     def _between(self, above: Sequence[list[_Run]], best: float) -> float:
-        """Return the width of the narrowest part that the lines of a pad hold, at most ``best``."""
+        """Return the width of the narrowest part that a pad can grasp along its lines [m], or ``best`` if smaller."""
         runs = _merged([run for line in above for run in line])
         for i, first in enumerate(runs):
             if i and first.start - runs[i - 1].end < ROOM:
@@ -188,7 +197,7 @@ class _Closing:
 
 
 def _merged(runs: list[_Run]) -> list[_Run]:
-    """Return the union of runs, in order; runs separated by less than a small gap are merged."""
+    """Return the union of runs, in order; runs separated by at most :data:`TOGETHER` are merged."""
     if len(runs) < 2:
         return runs
     found: list[_Run] = []

@@ -1,8 +1,8 @@
-"""Convex parts of an object as corners, edges and triangles in the world, for placement.
+"""Convex parts of an object as corners, edges and triangles in the world frame, used for placement.
 
-A part is a polyhedron that may be rounded: a sphere is a corner with a radius, a capsule an edge with one. A cylinder
-is represented by a circumscribed prism whose corners protrude by at most :data:`PROUD`, or by 5 ppm of its radius for
-radii above 10 m; everything else is exact.
+A part is a polyhedron that may be rounded: a sphere is a corner with a radius, and a capsule is an edge with a radius.
+A cylinder is approximated by a circumscribed prism whose corners protrude by at most :data:`PROUD`, or by 5 ppm of the
+radius if it is greater than 10 m. All other shapes are exact.
 """
 
 from __future__ import annotations
@@ -18,23 +18,28 @@ from simfoundry.geometry.frames import Array, Index, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 PROUD = 5e-5
-"""Largest protrusion of the corners of the prism around a cylinder [m]."""
+"""Maximum distance [m] by which the corners of a prism protrude from the cylinder that it approximates."""
 
 MOST_SIDES = 1024
-"""Largest number of sides of the prism around a cylinder."""
+"""Maximum number of sides of a prism that approximates a cylinder."""
 
 FLAT = 1e-12
-"""Edges between triangles whose normals have a cosine within this of 1 are ignored as flat."""
+"""Tolerance on the cosine between the normals of adjacent triangles; an edge within this of 1 is ignored as flat."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Convex parts of an object.
+    """The convex parts of an object.
 
-    ``corners`` [m], shape (n, 3); ``edges`` and ``triangles`` index them, shapes (k, 2) and (m, 3); ``normals`` point
-    outward, shape (m, 3); ``beside`` are the two triangles adjacent to an edge, or -1, shape (k, 2). ``part`` is the
-    part of each corner, shape (n,); ``radius`` [m] and ``link`` are each part's rounding and link index, shape
-    (parts,).
+    Attributes:
+        corners: Corners of all parts [m], shape (n, 3).
+        edges: Corner indices of each edge, shape (k, 2).
+        triangles: Corner indices of each triangle, shape (m, 3).
+        normals: Outward unit normals of the triangles, shape (m, 3).
+        beside: Indices of the two triangles adjacent to each edge, or -1 if there are none, shape (k, 2).
+        part: Part index of each corner, shape (n,).
+        radius: Rounding radius of each part [m], shape (parts,).
+        link: Link index of each part, shape (parts,).
     """
 
     corners: Array
@@ -47,39 +52,39 @@ class Hulls:
     link: Index
 
     def extent(self, axis: Array) -> tuple[float, float]:
-        """Lowest and highest coordinate along a unit vector [m]."""
+        """Return the minimum and maximum coordinate along a unit vector [m]."""
         along, radius = self.corners @ axis, self.radius[self.part]
         return float((along - radius).min()), float((along + radius).max())
 
     def bounds(self) -> tuple[Array, Array]:
-        """Low and high corner [m] of the world-axis bounding box of all parts, shape (3,) each."""
+        """Return the minimum and maximum corners of the axis-aligned bounding box of all parts [m], shape (3,) each."""
         radius = self.radius[self.part][:, None]
         return (self.corners - radius).min(axis=0), (self.corners + radius).max(axis=0)
 
     def middle(self, rotation: Array) -> Array:
-        """Center [m] of the bounding box of all parts along the columns of ``rotation``, shape (3,)."""
+        """Return the center of the bounding box aligned with the columns of ``rotation`` [m], shape (3,)."""
         return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
 
     def size(self) -> Array:
-        """Extents along the axes of the world [m], shape (3,)."""
+        """Return the extents along the world axes [m], shape (3,)."""
         low, high = self.bounds()
         return np.asarray(high - low)
 
     def posed(self, X_AB: Pose) -> Hulls:
-        """Return the same parts in another frame."""
+        """Return the parts transformed from frame B to frame A."""
         return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
 
     def moved(self, offset: Array) -> Hulls:
-        """Return the parts translated."""
+        """Return the parts translated by ``offset`` [m]."""
         return self._with(self.corners + offset, self.triangles, self.normals)
 
     def flipped(self) -> Hulls:
-        """Return the mirror image at the plane z = 0."""
+        """Return the mirror image of the parts across the plane z = 0."""
         mirror = np.array([1.0, 1.0, -1.0])
         return self._with(self.corners * mirror, self.triangles, self.normals * mirror)
 
     def of_link(self, link: int) -> Hulls:
-        """Return the parts of one link only; the other parts keep their indices but lose their corners."""
+        """Return only the parts of one link; the other parts keep their indices but have no corners."""
         kept = self.link[self.part] == link
         number = np.cumsum(kept) - 1
         triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
@@ -100,7 +105,7 @@ class Hulls:
 
 
 def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
-    """Return the convex parts of shapes, each with its pose and the index of its link."""
+    """Return the convex parts of shapes, each specified with its pose and link index."""
     points, sides, rods, part = [], [], [], []
     radii: list[float] = []
     links: list[int] = []
@@ -132,7 +137,7 @@ def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
 
 
 Core = tuple[Array, Index, Index, float]
-"""Corners, triangles, edges without triangles, and radius of a geometry in its own frame."""
+"""Corners, triangles, edges that have no adjacent triangles, and radius of a geometry in its own frame."""
 
 NO_TRIANGLES, NO_EDGES = np.zeros((0, 3), np.int64), np.zeros((0, 2), np.int64)
 
@@ -158,7 +163,7 @@ def _core(geometry: Geometry) -> Core:
 
 @lru_cache(maxsize=64)
 def _prism(radius: float, height: float) -> Core:
-    """Prism around a cylinder, with a multiple of four sides, so that its x and y extents are exact."""
+    """Return a prism around a cylinder. The number of sides is a multiple of four to make its x and y extents exact."""
     half = math.acos(min(radius / (radius + PROUD), 1 - 1e-12))
     sides = min(4 * max(3, math.ceil(math.pi / half / 4)), MOST_SIDES)
     angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
@@ -172,7 +177,7 @@ def _prism(radius: float, height: float) -> Core:
 
 
 def _normals(corners: Array, triangles: Index) -> Array:
-    """Unit normals; zeros for triangles without area."""
+    """Return the unit normals of triangles; degenerate triangles have zero normals."""
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -180,7 +185,7 @@ def _normals(corners: Array, triangles: Index) -> Array:
 
 
 def _edges(triangles: Index, normals: Array) -> tuple[Index, Index]:
-    """Edges that are not within a flat face, and the two triangles adjacent to each."""
+    """Return the edges that are not inside a flat face, and the two triangles adjacent to each edge."""
     if not len(triangles):
         return NO_EDGES, NO_EDGES
     ends = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)

@@ -1,4 +1,4 @@
-"""Intersections of plumb lines with the convex parts of objects: the objects over and under a point."""
+"""Intersections of vertical lines with the convex parts of objects, used to find objects above and below a point."""
 
 from __future__ import annotations
 
@@ -13,21 +13,30 @@ from simfoundry.geometry.frames import Array, Index, Pose, Poses, frozen_array, 
 from simfoundry.geometry.shapes import Box
 
 SEAM = 1e-6
-"""Distance at which a line still hits a part [m]: adjacent parts of one object differ only by rounding errors."""
+"""Maximum distance between a line and a part for the line to hit the part [m]; it covers rounding errors between
+adjacent parts of one object."""
 
 STEEP = 1e-9
-"""Cosine with up below which a face counts as vertical: plumb lines are parallel to it."""
+"""Cosine between a face normal and the up direction below which the face counts as vertical, that is, parallel to
+the lines."""
 
 
 AT_ONCE = 400_000
-"""Number of edges processed at once, about 100 MB: a round table top has hundreds."""
+"""Number of edges processed at once, which takes about 100 MB; a round tabletop has hundreds of edges."""
 
 
 def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Array, Array]:
-    """Find the states in which plumb lines through points, (n, 3), may hit parts of a body at ``X_WL``.
+    """Find the states in which vertical lines through points may hit parts of a body.
 
-    For each pair of a line and a part that it may hit: the state, the depth of the line within the part's outline, and
-    the heights over the point at which the line enters and leaves the part [m].
+    Args:
+        own: Shapes of the body.
+        X_WL: Poses of the body in n states.
+        points: One point per state [m], shape (n, 3).
+
+    Returns:
+        Four arrays with one element for each line and part that the line may hit: the state, the depth of the line
+        inside the outline of the part [m], and the heights above the point at which the line enters and leaves the part
+        [m].
     """
     form = _convex(own)
     local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
@@ -41,7 +50,7 @@ def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Arra
 
 @lru_cache(maxsize=256)
 def _convex(form: Form) -> Form:
-    """Return the form itself, or its bounding box if it is only visual: visual meshes can have any shape and size."""
+    """Return the form itself, or its bounding box if it is only visual, because visual meshes may not be convex."""
     if form.solid:
         return form
     low, high = form.low[:3], form.high[:3]
@@ -49,9 +58,15 @@ def _convex(form: Form) -> Form:
 
 
 def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
-    """Distances [m], (n, k), of lines along ``up`` through points (n, 3) from boxes of ``middle`` and ``half``, (k, 3).
+    """Return lower bounds on the distances between lines and boxes [m], shape (n, k).
 
-    A lower bound: only the directions perpendicular to ``up`` and to an axis of the box are tested.
+    Only directions perpendicular to both the line and an axis of the box are tested.
+
+    Args:
+        points: A point on each line [m], shape (n, 3).
+        up: Unit vector along each line, shape (n, 3).
+        middle: Centers of the boxes [m], shape (k, 3).
+        half: Half extents of the boxes [m], shape (k, 3).
     """
     out = np.full((len(points), len(middle)), -np.inf)
     for axis in np.eye(3):
@@ -64,12 +79,16 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 
 
 class _Faces(NamedTuple):
-    """Faces and edges of each part of a form, padded to equal length with entries that never decide.
+    """Faces and edges of each part of a form, padded to equal length with entries that never affect the result.
 
-    ``planes`` are outward unit normals and offsets [m], (k, f, 4). For each edge: ``lines``, the unit vector along it
-    and its moment about the origin [m], (k, e, 6); ``sides``, the sum of the adjacent normals crossed with that vector,
-    (k, e, 3); ``beside``, the two adjacent normals, (k, e, 2, 3). For a round part, ``axis`` are its two ends [m], (k,
-    2, 3), and ``radius`` [m], (k,), is positive. ``small`` marks the parts with few faces and edges.
+    Attributes:
+        planes: Outward unit normals and offsets [m] of the faces, shape (k, f, 4).
+        lines: Unit vector along each edge and its moment about the origin [m], shape (k, e, 6).
+        sides: Sum of the two adjacent face normals, crossed with the unit vector along the edge, shape (k, e, 3).
+        beside: The two face normals adjacent to each edge, shape (k, e, 2, 3).
+        axis: The two end points of each round part [m], shape (k, 2, 3).
+        radius: Radius of each part [m], shape (k,); positive only for round parts.
+        small: Mask of the parts with few faces and edges, shape (k,).
     """
 
     planes: Array
@@ -82,8 +101,8 @@ class _Faces(NamedTuple):
 
 
 SMALL_FACES, SMALL_EDGES = 16, 24
-"""Number of faces and edges up to which a part is small; the many small parts are not padded to the size of the few
-large ones."""
+"""Maximum number of faces and edges of a small part. Small parts are processed separately because padding them to the
+size of the few large parts would be wasteful."""
 
 
 @lru_cache(maxsize=256)
@@ -94,7 +113,7 @@ def _faces(form: Form) -> _Faces:
     edges: list[Index] = []
     of_triangle = parts.part[parts.triangles[:, 0]] if len(parts.triangles) else np.zeros(0, np.int64)
     of_edge = parts.part[parts.edges[:, 0]] if len(parts.edges) else np.zeros(0, np.int64)
-    flat = np.linalg.norm(parts.normals, axis=1) > 0.5  # a triangle without area has no normal
+    flat = np.linalg.norm(parts.normals, axis=1) > 0.5  # degenerate triangles have zero normals
     offset = (
         np.einsum("ij,ij->i", parts.normals, parts.corners[parts.triangles[:, 0]]) if len(parts.triangles) else flat
     )
@@ -110,7 +129,7 @@ def _faces(form: Form) -> _Faces:
         np.zeros((k, most[0], 4)),
         np.zeros((k, most[1], 6)),
         np.zeros((k, most[1], 3)),
-        np.full((k, most[1], 2, 3), np.nan),  # the padding has no direction, and bounds no outline
+        np.full((k, most[1], 2, 3), np.nan),  # padding: NaN normals never bound an outline
         np.zeros((k, 2, 3)),
         parts.radius.copy(),
         np.array([len(f) <= SMALL_FACES and len(e) <= SMALL_EDGES for f, e in zip(planes, edges, strict=True)]),
@@ -130,9 +149,11 @@ def _faces(form: Form) -> _Faces:
 
 
 def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Depths [m], (m,), of lines along ``up`` through points, (m, 3), within the outlines of parts.
+    """Intersect lines along ``up`` through ``points``, shape (m, 3) each, with parts.
 
-    Also returns the heights over the points at which they enter and leave the parts [m], (m,) each.
+    Returns:
+        The depth of each line inside the outline of its part [m], and the heights above the point at which the line
+        enters and leaves the part [m], shape (m,) each.
     """
     faces = _faces(form)
     round_ = faces.radius[part] > 0
@@ -160,8 +181,9 @@ def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
         at = room / rising
     top = np.where(rising > STEEP, at, np.inf).min(axis=1)
     bottom = np.where(rising < -STEEP, at, -np.inf).max(axis=1)
-    # The outline is bounded by the edges between a face that points up and one that points down. How far a line along
-    # `up` passes an edge, and on which side, are triple products; everything except `up` and the point is precomputed.
+    # The outline is bounded by the edges between an upward and a downward face. The distance from a line along `up` to
+    # an edge, and the side on which the line passes, are triple products; all factors except `up` and the point are
+    # precomputed.
     lines = faces.lines[part]
     looks = (faces.beside[part].reshape(len(part), -1, 3) @ up[:, :, None]).reshape(len(part), -1, 2)
     across = np.sqrt(np.maximum(0.0, 1 - (lines[..., :3] @ up[:, :, None])[..., 0] ** 2))
@@ -174,7 +196,7 @@ def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
-    """Chords of lines in balls and capsules."""
+    """Intersect lines with spheres and capsules."""
     first, last, radius = faces.axis[part, 0], faces.axis[part, 1], faces.radius[part]
     along = last - first
     level = along - np.einsum("mi,mi->m", along, up)[:, None] * up
@@ -203,7 +225,7 @@ def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple
 
 
 def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
-    """Entry and exit of lines through points in balls; NaN for lines that miss."""
+    """Return the heights at which lines enter and leave spheres; NaN for lines that miss."""
     middle = np.einsum("mi,mi->m", away, up)
     with np.errstate(invalid="ignore"):
         half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)

@@ -1,11 +1,11 @@
-"""First hits of many rays from one point with triangles.
+"""First intersections of triangles with many rays from a common origin.
 
-Rays that share an origin need no search tree. Each ray is a point ``(x, y)`` on the plane z = 1 of a view frame at the
-origin, a triangle covers a region of that plane, and the signed volumes ``d . (v_j x v_k)`` that decide the hit are
-linear in ``(x, y)``, even for triangles that extend behind the origin. The plane is divided into cells; each triangle
-visits the spans of cells that it covers and is tested against the rays in them. The same code serves the pixels of a
-camera (one ray per cell) and the points that a light may reach (any number per cell). All computations are float64, and
-two triangles that share an edge test it with identical numbers, so no ray passes between them.
+Rays that share an origin do not require a search tree. Each ray is represented by a point ``(x, y)`` on the plane z = 1
+of a view frame at the origin, and each triangle covers a region of that plane. The signed volumes ``d . (v_j x v_k)``
+that determine a hit are linear in ``(x, y)``, even for triangles that extend behind the origin. The plane is divided
+into cells, and each triangle is tested against the rays in the cells that it covers. The same code is used for camera
+pixels (one ray per cell) and for points that a light may reach (any number of rays per cell). All computations use
+float64, and two triangles that share an edge compute identical values for it, so no ray can pass between them.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ import numpy as np
 from simfoundry.geometry.frames import Array, Index, cross
 
 NEAREST = 1e-4
-"""Near clipping distance along z [m]."""
+"""Distance of the near clipping plane along z [m]."""
 
 _CHUNK = 1_000_000
-"""Number of pairs of triangle and ray tested at once; bounds the memory."""
+"""Maximum number of triangle-ray pairs tested at once, which limits memory use."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells on the plane z = 1: column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide; rows likewise in y."""
+    """A grid of cells on the plane z = 1.
+
+    Column ``c`` starts at ``x0 + c * dx`` and is ``wx`` wide; row ``r`` starts at ``y0 + r * dy`` and is ``wy`` high.
+    """
 
     x0: float
     y0: float
@@ -41,8 +44,12 @@ class Grid:
 class Rays:
     """Rays ``(x, y, 1)`` from the origin of a view frame, sorted by cell.
 
-    ``x`` and ``y`` have shape (n,); ``first``, shape (rows * columns + 1,), is the start of each cell; ``order``, shape
-    (n,), is the original index of each sorted ray.
+    Attributes:
+        grid: The cells.
+        x: X coordinate of each ray on the plane z = 1, shape (n,).
+        y: Y coordinate of each ray on the plane z = 1, shape (n,).
+        first: Index of the first ray in each cell, shape (rows * columns + 1,).
+        order: Original index of each sorted ray, shape (n,).
     """
 
     grid: Grid
@@ -54,10 +61,12 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """First hit of each ray, in the original order of the rays.
+    """The first hit of each ray, in the original order of the rays.
 
-    ``triangle``, shape (n,): the index of the triangle, -1 for none; ``inverse_depth`` [1/m] along z, shape (n,), 0 for
-    none; ``weights`` barycentric, shape (n, 3).
+    Attributes:
+        triangle: Index of the triangle that was hit, or -1 if there is no hit, shape (n,).
+        inverse_depth: Inverse of the depth along z [1/m], or 0 if there is no hit, shape (n,).
+        weights: Barycentric coordinates of the hit, shape (n, 3).
     """
 
     triangle: Index
@@ -65,39 +74,48 @@ class Hits:
     weights: Array
 
     def at(self, rays: Index) -> Hits:
-        """Select the hits of some rays by index."""
+        """Select hits by ray index."""
         return Hits(self.triangle[rays], self.inverse_depth[rays], self.weights[rays])
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Dot products of the rows of ``a`` and ``b``, shape (n, 3) or broadcast to it: shape (n,)."""
+    """Return the dot products of the rows of ``a`` and ``b``, which broadcast to shape (n, 3), with shape (n,)."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def unit(a: Array) -> Array:
-    """Normalize the rows of ``a``, shape (..., 3); rows of zeros stay zero."""
+    """Normalize the rows of ``a``, shape (..., 3); rows of zeros are left unchanged."""
     return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
 
 
 def turned(R_AB: Array, vectors: Array) -> Array:
-    """Rotate ``vectors`` in B, shape (..., 3), to A; without BLAS, whose threads and last bits vary by machine."""
+    """Rotate ``vectors``, shape (..., 3), from frame B to frame A.
+
+    BLAS is not used because its results differ between machines in the last bits.
+    """
     x, y, z = vectors[..., 0, None], vectors[..., 1, None], vectors[..., 2, None]
     return np.asarray(x * R_AB[:, 0] + y * R_AB[:, 1] + z * R_AB[:, 2])
 
 
 def blend(corners: Array, weights: Array) -> Array:
-    """Interpolate corner values of triangles, shape (n, 3, d), by barycentric ``weights`` (n, 3): shape (n, d)."""
+    """Interpolate values at triangle corners, shape (n, 3, d), with barycentric ``weights``, shape (n, 3)."""
     a, b, c = weights[:, 0, None], weights[:, 1, None], weights[:, 2, None]
     return np.asarray(a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2])
 
 
 def area_normals(corners: Array) -> Array:
-    """Normals of triangles (m, 3, 3), counter-clockwise from outside, with length twice the area: shape (m, 3)."""
+    """Return the normals, shape (m, 3), of triangles with the given ``corners``, shape (m, 3, 3).
+
+    Corners are counterclockwise as seen from outside. The length of a normal is twice the area of its triangle.
+    """
     return cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
-    """Rays through ``samples`` x ``samples`` points per pixel, in row-major order; pixel centers are integers."""
+    """Create rays through ``samples`` x ``samples`` points per pixel, in row-major order.
+
+    Pixel centers have integer coordinates.
+    """
     step = 1.0 / samples
     u = (np.arange(width * samples) + 0.5) * step - 0.5
     v = (np.arange(height * samples) + 0.5) * step - 0.5
@@ -108,7 +126,7 @@ def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: flo
 
 
 def scattered_rays(x: Array, y: Array) -> Rays:
-    """Rays ``(x, y, 1)`` in any arrangement, at least one, about two per cell."""
+    """Create rays ``(x, y, 1)`` in any arrangement, with about two rays per cell; there must be at least one ray."""
     side = max(1, int(np.sqrt(len(x) / 2)))
     x0, y0 = float(x.min()), float(y.min())
     dx = max(float(x.max()) - x0, 1e-12) / side
@@ -122,10 +140,13 @@ def scattered_rays(x: Array, y: Array) -> Rays:
 
 
 def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits:
-    """Find the nearest of ``triangles`` [m, view frame], shape (m, 3, 3), along each ray.
+    """Find the nearest triangle along each ray. If several triangles have the same depth, the first one is returned.
 
-    ``floor`` [1/m], shape (n,), in the original order of the rays, restricts the search to hits of greater inverse
-    depth, that is, to hits between the origin and a point. Of triangles at equal depth, the first wins.
+    Args:
+        triangles: Triangle corners in the view frame [m], shape (m, 3, 3).
+        rays: The rays.
+        floor: Minimum inverse depth of a hit [1/m], shape (n,), in the original order of the rays. It restricts the
+            search to hits between the origin and a point on the ray.
     """
     kept, edges, plane = _linear_forms(triangles)
     best = np.zeros(len(rays.x)) if floor is None else floor[rays.order].astype(np.float64)
@@ -141,7 +162,12 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
 
 
 def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
-    """Visible triangles, their edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
+    """Return linear forms in (x, y, 1) that describe the visible triangles.
+
+    Returns:
+        The indices of the visible triangles, their edge forms, shape (k, 3, 3), and their inverse-depth forms, shape
+        (k, 3).
+    """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     edges = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
     volume = a[:, 0] * edges[:, 0, 0] + a[:, 1] * edges[:, 0, 1] + a[:, 2] * edges[:, 0, 2]
@@ -151,7 +177,10 @@ def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
 
 
 def _bounds(triangles: Array) -> tuple[Array, Array]:
-    """Lowest and highest (x, y) on the plane z = 1 of the part of each triangle beyond ``NEAREST``, shape (m, 2)."""
+    """Return the minimum and maximum (x, y) of each triangle, projected onto the plane z = 1, shape (m, 2) each.
+
+    The part of a triangle in front of the near clipping plane (:data:`NEAREST`) is cut off.
+    """
     following = np.roll(triangles, -1, axis=1)
     z, z_next = triangles[:, :, 2], following[:, :, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -164,14 +193,21 @@ def _bounds(triangles: Array) -> tuple[Array, Array]:
 
 
 def _cells(low: Array, high: Array, origin: float, step: float, width: float, count: int) -> tuple[Index, Index]:
-    """First and last cell along one axis that an interval may touch; empty if the last precedes the first."""
+    """Return the first and last cell that an interval may touch along one axis.
+
+    If the last cell precedes the first, the interval does not touch any cell.
+    """
     first = np.ceil(np.clip((low - origin - width) / step - 1e-6, 0, count))
     last = np.floor(np.clip((high - origin) / step + 1e-6, -1, count - 1))
     return first.astype(np.int64), last.astype(np.int64)
 
 
 def _spans(triangles: Array, edges: Array, rays: Rays) -> tuple[Index, Index, Index]:
-    """For each row of cells that a triangle touches: the triangle, the first ray of the span, and one past the last."""
+    """Return one span of rays for each row of cells that a triangle touches.
+
+    Returns:
+        The triangle index of each span, the index of its first ray, and the index after its last ray.
+    """
     grid = rays.grid
     low, high = _bounds(triangles)
     top, bottom = _cells(low[:, 1], high[:, 1], grid.y0, grid.dy, grid.wy, grid.rows)
@@ -193,7 +229,7 @@ def _spans(triangles: Array, edges: Array, rays: Rays) -> tuple[Index, Index, In
 
 
 def _expand(begin: Index, end: Index) -> tuple[Index, Index]:
-    """All pairs (k, i) with ``begin[k] <= i < end[k]``, in order."""
+    """Return all pairs (k, i) with ``begin[k] <= i < end[k]``, in order."""
     count = np.maximum(end - begin, 0)
     owner = np.repeat(np.arange(len(begin)), count)
     within = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
@@ -203,7 +239,7 @@ def _expand(begin: Index, end: Index) -> tuple[Index, Index]:
 def _test(
     owner: Index, begin: Index, end: Index, edges: Array, plane: Array, rays: Rays, best: Array, winner: Index
 ) -> None:
-    """Test the rays of spans and keep the nearest hits in ``best`` and ``winner``, which are modified."""
+    """Test the rays in the given spans and update ``best`` and ``winner`` in place with the nearest hits."""
     span, ray = _expand(begin, end)
     triangle = owner[span]
     x, y = rays.x[ray], rays.y[ray]
@@ -214,12 +250,12 @@ def _test(
         hit &= e[triangle, 0] * x + e[triangle, 1] * y + e[triangle, 2] >= 0
     ray, triangle, w = ray[hit], triangle[hit], w[hit]
     np.maximum.at(best, ray, w)
-    nearest = np.flatnonzero(w == best[ray])[::-1]  # reversed: of tied triangles the first is written last and wins
+    nearest = np.flatnonzero(w == best[ray])[::-1]  # reversed: in a tie, the first triangle is written last and wins
     winner[ray[nearest]] = triangle[nearest]
 
 
 def _gather(winner: Index, best: Array, kept: Index, edges: Array, rays: Rays) -> Hits:
-    """Restore the original order of the rays and the caller's triangle indices."""
+    """Return the hits in the original order of the rays, with the caller's triangle indices."""
     triangle = np.full(len(winner), -1, dtype=np.int64)
     inverse_depth, weights = np.zeros(len(winner)), np.zeros((len(winner), 3))
     met = np.flatnonzero(winner >= 0)

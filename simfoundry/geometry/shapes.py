@@ -1,6 +1,6 @@
-"""Shapes in local frames, and their surfaces.
+"""Shapes in their local frames, and their surface meshes.
 
-Sizes are full extents, never half extents; cylinders and capsules are along their local z.
+Sizes are full extents, never half extents. Cylinders and capsules are aligned with their local z axis.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from simfoundry.geometry.frames import Array, frozen_array
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box centered on its frame; ``size`` is its full extents [m], shape (3,)."""
+    """A box centered on its frame; ``size`` contains its full extents [m], shape (3,)."""
 
     size: Array
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere centered on its frame; ``radius`` [m]."""
+    """A sphere centered on its frame, with a ``radius`` [m]."""
 
     radius: float
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along z, centered on its frame; ``radius`` and full ``height`` [m]."""
+    """A cylinder along z, centered on its frame, with a ``radius`` [m] and a full ``height`` [m]."""
 
     radius: float
     height: float
@@ -40,7 +40,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A capsule along z, centered on its frame; ``height`` [m] is that of the cylindrical part, without the caps."""
+    """A capsule along z, centered on its frame; ``height`` [m] is the length of the cylinder without the caps."""
 
     radius: float
     height: float
@@ -50,8 +50,11 @@ class Capsule:
 class Mesh:
     """A triangle mesh.
 
-    ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3), counter-clockwise from outside; ``uv`` shape (n, 2)
-    with v up (as in OBJ and USD), or None; ``texture`` the bytes of a PNG, or None.
+    Attributes:
+        vertices: Vertex positions [m], shape (n, 3).
+        faces: Vertex indices of each face, int32, shape (m, 3), counterclockwise as seen from outside.
+        uv: Texture coordinates, shape (n, 2), with v up as in OBJ and USD, or None.
+        texture: Content of a PNG file, or None.
     """
 
     vertices: Array
@@ -61,7 +64,7 @@ class Mesh:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hex digits of a content hash that identifies this mesh."""
+        """The first 16 hex digits of a content hash that identifies this mesh."""
         h = hashlib.sha256()
         for part in (self.vertices, self.faces, self.uv):
             h.update(b"-" if part is None else str(part.shape).encode() + np.ascontiguousarray(part).tobytes())
@@ -79,8 +82,9 @@ Faces = NDArray[np.int32]
 def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
     """Return the surface of a primitive as a mesh in the primitive's own frame; meshes are returned unchanged.
 
-    ``segments`` is the number of edges around z, at least 3. Vertices lie on the true surface, so a round shape loses
-    at most ``radius * (1 - cos(pi / segments))`` [m] of its radius. Equal inputs give equal bytes.
+    ``segments`` is the number of edges around z, at least 3. All vertices are on the true surface, so the radius of a
+    round shape shrinks by at most ``radius * (1 - cos(pi / segments))`` [m]. The result is deterministic down to the
+    byte.
     """
     if segments < 3:
         raise ValueError(f"a round shape needs at least 3 segments, got {segments}")
@@ -109,15 +113,18 @@ def _box(size: Array) -> Mesh:
 
 
 def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list[tuple[float, float]]:
-    """Points ``(r, z)`` on a circle about ``(0, z)`` from angle ``start`` to ``stop`` [rad], measured from +z."""
+    """Return points ``(r, z)`` on a circular arc around ``(0, z)``.
+
+    The arc extends from angle ``start`` to ``stop`` [rad], measured from the +z direction.
+    """
     angles = [start + (stop - start) * k / steps for k in range(steps + 1)]
     return [(radius * math.sin(a), z + radius * math.cos(a)) for a in angles]
 
 
 def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
-    """Return the solid of revolution of a profile of (radius, height) [m], shape (k, 2), as a closed mesh.
+    """Revolve a profile of (radius, height) points [m], shape (k, 2), about z and return the solid as a closed mesh.
 
-    The profile starts and ends on the axis, from the top down the outside to the bottom.
+    The profile starts on the axis at the top, runs down the outside, and ends on the axis at the bottom.
     """
     from simfoundry.assets.solids import lathe_mesh
 
@@ -132,7 +139,7 @@ def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
 
 
 def hull_mesh(points: Array) -> Mesh | None:
-    """Convex hull of points [m], shape (n, 3), with at most 64 vertices; None if the points are coplanar."""
+    """Return the convex hull of points [m], shape (n, 3), with at most 64 vertices, or None if they are coplanar."""
     from simfoundry.assets.convex import hull
     from simfoundry.assets.errors import MeshError
 

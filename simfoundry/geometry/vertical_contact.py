@@ -1,12 +1,12 @@
-"""Height by which one object can be lowered onto another: exact for rounded polyhedra.
+"""Height at which one object comes to rest if it is lowered onto another; exact for rounded polyhedra.
 
-Two convex parts that approach each other along z make first contact corner to face, face to corner, or edge to edge; if
-one is rounded, also corner to edge or corner to corner. Each case has a closed formula for the height of the contact,
-if there is one. No contact occurs before the first one, so the maximum over all cases is the answer.
+Two convex parts that approach each other along z first touch corner to face, face to corner, or edge to edge. If one of
+them is rounded, they may also touch corner to edge or corner to corner. The contact height in each case has a closed
+form, and the first contact is the maximum over all cases.
 
-The upper object is mirrored at z = 0, so that its downward faces point up like those of the lower object. Both then
-play the same role in every formula, and a height is the sum of two: that of the lower surface, and that of the mirrored
-one.
+The upper object is mirrored across z = 0 to make its downward faces point up like the upward faces of the lower object.
+Both objects then play the same role in every formula, and a contact height is the sum of a height on the lower object
+and a height on the mirrored upper object.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from simfoundry.geometry.frames import Array, Index
 from simfoundry.geometry.hulls import Hulls
 
 SHRINK = 1e-6
-"""Share by which the upper object is narrowed, so that an object that fits exactly between two walls does not rest on
-them."""
+"""Fraction by which the upper object is narrowed, to prevent an object that fits exactly between two walls from resting
+on top of them."""
 
 NEAR = 1e-9
-"""Tolerance beyond the border of a face or the end of an edge, as a share of its length."""
+"""Tolerance beyond the border of a face or the end of an edge, as a fraction of its length."""
 
 STEEP = 1e-9
-"""Least z component of a face's unit normal; steeper faces are walls, on which nothing rests."""
+"""Minimum z component of the unit normal of a face that can support an object; steeper faces are walls."""
 
 PARALLEL = 1e-12
-"""Least sine of the angle between two crossing edges, seen from above."""
+"""Minimum sine of the angle between two crossing edges as seen from above."""
 
 CHUNK = 1 << 21
-"""Largest number of pairs processed at once."""
+"""Maximum number of pairs processed at once."""
 
 Meetings = Iterator[tuple[Index, Index, Array]]
-"""Part indices of either object, and the heights at which these parts touch."""
+"""Part indices in the first and second object, and the heights at which these parts touch."""
 
 
 def heights(above: Hulls, below: Hulls) -> Array:
-    """Heights [m] by which each part of ``above`` must be lifted to rest on each part of ``below``.
+    """Return the heights [m] by which each part of ``above`` must be lifted to rest on each part of ``below``.
 
-    Shape (parts above, parts below); negative if the part may be lowered, -inf if no vertical motion makes the two
-    touch, because they do not overlap in plan view.
+    The result has shape (parts above, parts below). A height is negative if the part can be lowered, and -inf if the
+    two parts do not overlap as seen from above, so that no vertical motion makes them touch.
     """
     out = np.full((len(above.radius), len(below.radius)), -np.inf)
     a, b = _upper(_narrowed(above).flipped()), _landing(below)
@@ -80,7 +80,16 @@ def _narrowed(shape: Hulls) -> Hulls:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Corners, edges or faces: ``points`` of each, shape (n, 1, 2 or 3, 3), their part, and their xy bounding box."""
+    """Corners, edges or faces.
+
+    Attributes:
+        points: Points of each element [m], shape (n, 1, 3) for corners, (n, 2, 3) for edges and (n, 3, 3) for faces.
+        part: Part index of each element, shape (n,).
+        radius: Rounding radius of each element [m], shape (n,).
+        low: Minimum corner of each bounding box in the xy plane [m], shape (n, 2).
+        high: Maximum corner of each bounding box in the xy plane [m], shape (n, 2).
+        normals: Unit normals of faces, shape (n, 3); empty for corners and edges.
+    """
 
     points: Array
     part: Index
@@ -98,7 +107,7 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Upper:
-    """Upward corners, edges and faces of an object; its own parts do not hide one another."""
+    """Upward corners, edges and faces of an object, including those that are hidden by other parts of the object."""
 
     corners: _Group
     edges: _Group
@@ -128,7 +137,10 @@ _landing = lru_cache(maxsize=16)(_upper)
 
 
 def _pairs(a: _Group, b: _Group, rounded: bool = False) -> Iterator[tuple[Index, Index]]:
-    """Index pairs whose xy boxes overlap; only pairs with at least one radius if ``rounded``."""
+    """Yield index pairs whose bounding boxes overlap in the xy plane.
+
+    If ``rounded``, only pairs in which at least one element is rounded are included.
+    """
     if not len(a.part) or not len(b.part):
         return
     mine = np.flatnonzero(((a.high >= b.low.min(axis=0)) & (a.low <= b.high.max(axis=0))).all(axis=1))
@@ -183,7 +195,10 @@ def _edges_on_edges(a: _Upper, b: _Upper) -> Meetings:
 
 
 def _corners_on_edges(a: _Upper, b: _Upper) -> Meetings:
-    """Contacts of a sphere with the sum of the radii, lowered about the corner until it touches the edge."""
+    """Yield contacts between corners and edges, at least one of which is rounded.
+
+    The corner is treated as a sphere whose radius is the sum of both radii, lowered until it touches the edge.
+    """
     for i, j in _pairs(a.corners, b.edges, rounded=True):
         q = b.edges.points[j, 0]
         along = b.edges.points[j, 1] - q

@@ -1,4 +1,4 @@
-"""Walls around a point at its own height: those of bowls, drawers and boxes."""
+"""Walls around a point at the height of that point, for example the sides of bowls, drawers and boxes."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from simfoundry.geometry.frames import Array, cross
 from simfoundry.geometry.hulls import Hulls
 
 DIRECTIONS = 16
-"""Number of directions in which walls are searched."""
+"""Number of horizontal directions in which to look for walls."""
 
 _ANGLES = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
 LEVEL_RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(DIRECTIONS)])
-"""Unit vectors in these level directions, shape (DIRECTIONS, 3)."""
+"""Unit vectors in the horizontal directions, shape (DIRECTIONS, 3)."""
 
 WALLED = 8
-"""Number of :data:`DIRECTIONS` with walls from which a point counts as inside."""
+"""Minimum number of :data:`DIRECTIONS` with a wall for a point to count as inside."""
 
 FOOT = 5e-4
-"""Height above the lowest point of an object at which its base is measured [m]."""
+"""Height above an object's lowest point at which its base is measured [m]."""
 
 LEVELS = (0.0, 0.25, 0.5)
-"""Heights at which walls are searched, as shares of the object's height: rails may leave a gap at its base."""
+"""Heights at which to look for walls, as fractions of the object's height; rails may leave a gap at the base."""
 
 LOW = 0.25
-"""Height at which the middle of a cavity is measured, as a share of its depth, from its floor."""
+"""Height above the floor of a cavity at which its middle is measured, as a fraction of the cavity's depth."""
 
 
 def surrounded(thing: Hulls, container: Hulls) -> bool:
-    """Return True if walls of the container surround at least half the sides of an object, at its base or higher."""
+    """Return True if the container has walls on at least half the sides of an object, at its base or higher up."""
     bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
     lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
     for share in LEVELS:
@@ -41,9 +41,10 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
 
 
 def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
-    """Middle of the cavity [m] at ``middle``, between the walls along the container's axes; shape (3,).
+    """Return the middle of the cavity near ``middle`` [m], centered between the walls along the container's axes.
 
-    Along an axis without walls on both sides, and if there is no cavity, the given ``middle`` is kept.
+    The coordinate along an axis stays unchanged if there are no walls on both sides. If there is no cavity, ``middle``
+    is returned unchanged.
     """
     top = container.extent(np.array([0.0, 0.0, 1.0]))[1]
     floor = top - free_distance(container, np.array([*middle[:2], top + 1e-6]), np.array([0.0, 0.0, -1.0]))
@@ -63,12 +64,21 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
 
 
 def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
-    """Length of a ray up to the first part [m]; inf if it hits none."""
+    """Return the distance along a ray to the first part [m], or inf if the ray hits nothing."""
     return float(free_distances(shape, start, ray[None])[0])
 
 
 def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
-    """Lengths of rays from one point, shape (n, 3), up to the first part [m], shape (n,); inf if they hit none."""
+    """Return the distance along each ray from one point to the first part [m].
+
+    Args:
+        shape: Convex parts that the rays may hit.
+        start: Origin of all rays [m], shape (3,).
+        rays: Unit directions of the rays, shape (n, 3).
+
+    Returns:
+        Distances [m], shape (n,); inf for rays that hit nothing.
+    """
     rounded = [_to_rounded(shape, start, ray) for ray in rays] if (shape.radius > 0).any() else math.inf
     return np.asarray(np.minimum(_to_triangles(shape, start, rays), rounded))
 
@@ -89,7 +99,10 @@ def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
 
 
 def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
-    """Ray lengths up to spheres and capsules, whose edges are tubes between the spheres at their ends."""
+    """Return the distance along a ray to the first sphere or capsule [m], or inf if the ray hits none.
+
+    A capsule is represented by an edge: a tube between the spheres at its two ends.
+    """
     radius = shape.radius[shape.part]
     ball = radius > 0
     tube = radius[shape.edges[:, 0]] > 0
@@ -109,7 +122,7 @@ def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
 
 
 def _entry(offset: Array, ray: Array, radius: Array) -> Array:
-    """Lengths at which rays from ``offset`` come within ``radius`` of the origin; inf if they never do."""
+    """Return the distances at which rays from ``offset`` come within ``radius`` of the origin, or inf if they miss."""
     square = (ray * ray).sum(axis=1)
     half = (offset * ray).sum(axis=1)
     inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)

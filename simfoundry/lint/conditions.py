@@ -1,4 +1,4 @@
-"""SF405 and SF406: goals that are true at the start, and relations of a scene that do not hold in it."""
+"""Lints SF405 and SF406: goals that are already true in the initial state, and relations that do not hold."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any
 from simfoundry.lint.draft import StartJudge, drafted
 from simfoundry.lint.lints import Lint, Path_, Subject, warning
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Call, Effect, parse_call, parts, texts
 
 
 def pending(subject: Subject) -> list[tuple[Call, Path_]]:
-    """Predicates that must become true and do not hold at the start, each with the path of its goal."""
+    """Return the predicates that must become true but do not hold initially, each with the path of its goal."""
     task, judge = subject.task, StartJudge(subject.scene)
     goals: list[tuple[Any, Path_]] = [(task.goal, ("goal",))]
     goals += [(subtask.goal, ("subtasks", name, "goal")) for name, subtask in task.subtasks.items()]
@@ -22,7 +21,7 @@ def pending(subject: Subject) -> list[tuple[Call, Path_]]:
 
 
 def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
-    """Predicates that must all become true: those not below `any`, whose alternatives may hold, nor below `not`."""
+    """Yield the predicates that must all become true; predicates inside `any` or `not` are not included."""
     tag, below = parts(condition)
     if tag == "text":
         yield parse_call(condition), path
@@ -32,11 +31,11 @@ def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
 
 
 INDEPENDENT = (Effect.NONE, Effect.JOINT, Effect.GRASP)
-"""Effects of predicates that do not depend on the poses that a reset samples."""
+"""Effects of predicates whose values do not depend on the object poses sampled at a reset."""
 
 
 def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
-    """Find a goal that holds at the start, and steps whose goals hold when they run alone or first."""
+    """Find goals that already hold initially, including the goals of steps that run first or on their own."""
     task, judge = subject.task, StartJudge(subject.scene)
     if _is_true(subject, task.goal, judge):
         yield _goal_finding(subject, ("goal",), "the goal is true at the start", judge.explanation(task.goal))
@@ -52,7 +51,7 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _is_true(subject: Subject, goal: Any, judge: StartJudge) -> bool:
-    """Return True if a goal certainly holds for all poses that a reset may sample."""
+    """Return True if a goal is certain to hold for all object poses that a reset may sample."""
     calls = [parse_call(text) for text, _ in texts(goal)]
     placed = {arg.partition(".")[0] for c in calls if c.declaration.effect not in INDEPENDENT for arg in c.args}
     return not (placed & subject.task.reset.objects.keys()) and judge.value(goal) is True
@@ -67,9 +66,9 @@ TRUE_AT_START = Lint("SF405", ("task/1",), goals_true_at_start)
 
 
 def broken_relations(subject: Subject) -> Iterator[Diagnostic]:
-    """Find relations that certainly do not hold.
+    """Find relations that are certain not to hold.
 
-    Relations of robots are skipped, because a robot may start while it holds an object.
+    Relations that involve a robot are skipped, because a robot may initially be holding an object.
     """
     judge = StartJudge(subject.scene)
     for k, text in enumerate(subject.scene.spec.relations):

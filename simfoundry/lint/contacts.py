@@ -1,4 +1,4 @@
-"""SF410 and SF411: objects that interpenetrate, and free objects without support."""
+"""Lints SF410 and SF411: interpenetrating objects, and free objects without support."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import Diagnostic
 
 DEEP = 0.002
-"""Penetration [m] that simulators resolve by themselves; captured objects have as much."""
+"""Penetration depth [m] that simulators resolve on their own, and that is common for captured objects."""
 
 STEEPEST = 1.5
-"""Lift that separates two objects, as a multiple of the depth, up to which the upper one counts as sunk in from
-above."""
+"""Maximum lift that separates two objects, as a multiple of their penetration depth, for the upper object to count as
+sunk into the lower one from above."""
 
 MOST_PAIRS = 6_000
-"""Number of pairs of neighbors measured for one scene, which takes seconds; 1,000 objects on a table have some
-hundreds. Further pairs are measured once the first findings are fixed."""
+"""Maximum number of neighboring pairs measured in one scene, which takes seconds. A table with 1,000 objects has a few
+hundred such pairs. The remaining pairs are measured once the first findings are fixed."""
 
 
 def overlaps(subject: Subject) -> Iterator[Diagnostic]:
-    """Find interpenetrating pairs, unless both are fixed or their contacts are excluded."""
+    """Find pairs of interpenetrating objects, unless both are fixed or their contacts are excluded."""
     draft = subject.scene
     silent = {frozenset(pair) for pair in draft.spec.no_contact}
     found = 0
@@ -41,7 +41,7 @@ def overlaps(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def neighbors(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
-    """Pairs of objects with known parts whose boxes overlap by more than :data:`DEEP`."""
+    """Return pairs of objects with known convex parts whose bounding boxes overlap by more than :data:`DEEP`."""
     items = [item for item in draft.solids if item.name not in draft.approximate]
     if not items:
         return []
@@ -54,14 +54,14 @@ def neighbors(draft: DraftScene) -> list[tuple[SceneObject, SceneObject]]:
 
 
 def _is_placed_on(draft: DraftScene, a: SceneObject, b: SceneObject) -> bool:
-    """Return True if the placement of one names the other: lowering then defined their relative pose."""
+    """Return True if one object is placed on or in the other, so that lowering has computed their relative pose."""
     places = (draft.spec.objects[one.name].place for one in (a, b))
     carriers = [(place.on or place.inside or "").partition(".")[0] for place in places if place is not None]
     return a.name in carriers or b.name in carriers
 
 
 def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagnostic:
-    """Return the finding for the object that can be moved; of two, for the later one."""
+    """Return the finding for the object that can be moved, or for the later one if both can be moved."""
     draft, loaded = subject.scene, subject.loaded
     moved, other = (a, b) if b.fixed else (b, a)
     depth = draft.overlap(a.name, b.name)
@@ -80,18 +80,18 @@ OVERLAP = Lint("SF410", ("scene/1",), overlaps)
 
 
 HOVERING = 0.005
-"""Largest gap to a support [m] after which the bounce of a falling object is negligible."""
+"""Maximum gap between an object and its support [m]; an object that falls by this much hardly bounces."""
 
 CLOSE = 5e-5
-"""Protrusion [m] of the prisms that represent cylinders."""
+"""Tolerance for contact [m]: the distance by which the prisms that represent cylinders protrude."""
 
 MOST_MEASURED = 20_000
-"""Number of pairs of an object and a possible support measured for one scene, at a millisecond each: in a wall of a
-thousand bricks, each has eight neighbors."""
+"""Maximum number of pairs of an object and a possible support measured in one scene, at about a millisecond each. In a
+wall of a thousand bricks, each brick has eight neighbors."""
 
 
 def unsupported(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects that would fall, in a scene with a fixed object and gravity that points down."""
+    """Find free objects that would fall, if the scene has a fixed object and gravity points down."""
     draft = subject.scene
     gx, gy, gz = draft.spec.gravity
     if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
@@ -117,9 +117,9 @@ def unsupported(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:
-    """Return True if an object touches another at once or within the first :data:`HOVERING` of its way down.
+    """Return True if an object touches its support immediately or after falling by at most :data:`HOVERING`.
 
-    If one of them is known only by its hull, the distance of their boxes decides.
+    If only the convex hull of either object is known, the support is assumed to be sufficient.
     """
     if draft.approximate & {support.name, item.name}:
         return True
@@ -129,19 +129,20 @@ def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool
         return True
     if not (touching > CLOSE).any():
         return False
-    # Interpenetrating objects are not reported as falling: SF410 reports them. A lid is no support.
+    # Interpenetrating objects are reported by SF410, not as falling. An object that only covers another, such as a
+    # lid, does not support it.
     leaving = -heights(upper.flipped(), lower.flipped())
     rising = touching[touching > CLOSE] < -leaving[touching > CLOSE]
     return bool(rising.any()) or draft.distance(item.name, support.name, -DEEP) < -DEEP
 
 
 def _may_rest_on_unplaced(draft: DraftScene) -> bool:
-    """Return True if there are objects with uncertain poses: any object may rest on them."""
+    """Return True if the poses of some objects are uncertain; any other object may rest on them."""
     return any(name in draft.unplaced for name in draft.scene.by_name)
 
 
 def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
-    """Return the finding with the height of the fall and the object that it ends on."""
+    """Return the finding, which states how far the object falls and what it lands on."""
     draft = subject.scene
     low, high = draft.bounds[item.name]
     below: list[tuple[float, str]] = []

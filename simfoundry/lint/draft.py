@@ -1,8 +1,9 @@
-"""Draft scenes for lints, and conditions judged at their start.
+"""Draft scenes for lints, and the evaluation of conditions in their initial states.
 
-A draft is lowered by the same passes as for a compile, but without expensive steps: it does not decompose meshes into
-convex parts, but uses cached parts, else the hull. For an object that is known only by its hull, and for objects placed
-on or in it, lints report only what is certain.
+A draft is lowered by the same passes as in a compilation, but without expensive steps: meshes are not decomposed into
+convex parts. Instead, the draft uses the cached parts of a mesh if there are any, or else its convex hull. If only the
+hull of an object is known, lints report findings about the object, and about objects placed on or in it, only if they
+are certain.
 """
 
 from __future__ import annotations
@@ -26,21 +27,24 @@ from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.change.start import with_starts
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import FARTHEST
-from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.predicate import Call, parse_call, parts
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.models.task import Start, TaskSpec
+from simfoundry.spec.models.task import Start, TaskSpec, with_starts
 
 
 @dataclass(frozen=True, eq=False)
 class DraftScene:
-    """A draft scene without robots; ``spec`` is its document with the changes made by the start of a task.
+    """A draft scene without robots.
 
-    ``approximate`` are the objects known only by their hulls, ``unplaced`` those whose pose is uncertain.
+    Attributes:
+        spec: The scene document, including the changes that the initial state of a task makes to it.
+        scene: The lowered scene.
+        approximate: Names of the objects for which only the convex hulls are known.
+        unplaced: Names of the objects whose poses are uncertain.
     """
 
     spec: SceneSpec
@@ -50,24 +54,24 @@ class DraftScene:
 
     @cached_property
     def shapes(self) -> dict[str, Hulls]:
-        """World-space convex parts of each object with a certain pose and a usable size."""
+        """Convex parts, in the world frame, of each object that has a known pose and a usable size."""
         found = {o.name: hulls(o) for o in self.scene.objects if o.name not in self.unplaced}
         return {name: shape for name, shape in found.items() if len(shape.corners) and _is_usable(shape)}
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Minimum and maximum corners [m] of the bounding box of each object, shape (3,) each."""
+        """Minimum and maximum corners of each object's bounding box [m], shape (3,) each."""
         return {name: shape.bounds() for name, shape in self.shapes.items()}
 
     @cached_property
     def solids(self) -> list[SceneObject]:
-        """Those of these objects that have colliders."""
+        """Objects in :attr:`shapes` that have colliders."""
         items = (self.scene.by_name[name] for name in self.shapes)
         return [item for item in items if any(link.colliders for link in item.links)]
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """Cameras at their poses in the world, except those mounted on a robot."""
+        """Cameras with their world poses, except those that are mounted on a robot."""
         from simfoundry.scene.kinematics import link_poses
 
         found = {camera.name: camera for camera in self.scene.cameras}
@@ -78,11 +82,11 @@ class DraftScene:
         return {name: found[name] for name in self.spec.cameras if name in found}
 
     def distance(self, a: str, b: str, threshold: float) -> float:
-        """Return a number [m] on the same side of a threshold as the signed distance of two objects."""
+        """Return a value [m] on the same side of ``threshold`` as the signed distance between two objects."""
         return float(self._distances.between(self._view, self._thing(a), self._thing(b), threshold)[0])
 
     def overlap(self, a: str, b: str) -> float:
-        """Penetration depth [m] of two objects."""
+        """Return the penetration depth of two objects [m]."""
         measured = Distances(self._bodies)
         return -float(measured.between(self._view, self._thing(a), self._thing(b))[0])
 
@@ -107,9 +111,10 @@ def _is_usable(shape: Hulls) -> bool:
 
 
 def drafted_start(loaded: Loaded) -> DraftScene | None:
-    """Return the scene of a document, or the start of a task; None if it cannot be read.
+    """Return the draft of a scene document, or of the initial state of a task; None if it could not be read.
 
-    Raises :class:`SpecError` with the errors of lowering.
+    Raises:
+        SpecError: If lowering fails.
     """
     if not isinstance(loaded.spec, TaskSpec):
         return drafted(loaded)
@@ -118,7 +123,11 @@ def drafted_start(loaded: Loaded) -> DraftScene | None:
 
 
 def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
-    """Return the scene of a document with the changes of starts, later ones last; raises :class:`SpecError`."""
+    """Return the draft of a scene document after applying the changes in ``starts``, in order.
+
+    Raises:
+        SpecError: If lowering fails.
+    """
     assert isinstance(loaded.spec, SceneSpec)
     spec = with_starts(loaded.spec, starts)
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
@@ -127,7 +136,7 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
 
 
 def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
-    """Yield the errors of lowering an asset document."""
+    """Yield the errors that occur when an asset document is lowered."""
     assert isinstance(loaded.spec, AssetSpec)
     work = ObjectLowering(loaded, Cache.default(), draft=True)
     work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)
@@ -135,14 +144,14 @@ def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
 
 
 HULL_DECIDES = ("LeftOf", "RightOf", "Behind", "InFrontOf", "NextTo", "At", "Upright", "Open", "Closed")
-"""Predicates that measure only extents and poses: the hull of an object gives the same result as its parts."""
+"""Predicates that depend only on extents and poses, so that an object's hull gives the same result as its parts."""
 
 NEEDS_TOUCH = ("OnTop", "Inside", "Touching")
-"""Predicates of two objects that are false if not even the hulls of the two touch."""
+"""Predicates on two objects that are always false if the hulls of the objects do not touch."""
 
 
 class StartJudge:
-    """Judges conditions in the initial state of a scene, before any robot has moved."""
+    """Evaluates conditions in the initial state of a scene, before any robot has moved."""
 
     def __init__(self, draft: DraftScene) -> None:
         self._draft = draft
@@ -157,20 +166,20 @@ class StartJudge:
         return Judge(self._draft.scene)
 
     def value(self, condition: Any) -> bool | None:
-        """Return whether a condition holds; None if that is uncertain."""
+        """Return True if a condition holds, False if it does not hold, or None if the result is uncertain."""
         tag, below = parts(condition)
         if tag == "text":
             return self._call_value(parse_call(below[0]))
         values = [self.value(item) for item in below]
         if tag == "not":
             return None if values[0] is None else not values[0]
-        decisive = tag == "any"  # one true part decides `any`, one false part decides `all`
+        decisive = tag == "any"  # one true operand decides `any`, and one false operand decides `all`
         if decisive in values:
             return decisive
         return None if None in values or not values else not decisive
 
     def explanation(self, condition: Any) -> str:
-        """Return the reasons, with numbers, for the value of a condition that is certain."""
+        """Return the reasons, with measured values, for the value of a condition; the value must be certain."""
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(below[0])
@@ -195,12 +204,12 @@ class StartJudge:
         if call.predicate not in HULL_DECIDES and self._draft.approximate:
             if self._is_apart(call):
                 return False
-            if names & self._draft.approximate or call.predicate == "OnTop":  # other objects may help to support it
+            if names & self._draft.approximate or call.predicate == "OnTop":  # other objects may add support
                 return None
         return self._judged(call)
 
     def _is_apart(self, call: Call) -> bool:
-        """Return True if the hulls of the two objects of a predicate do not touch."""
+        """Return True if a predicate's two objects are certain not to touch, because their hulls do not."""
         approximate = {arg.partition(".")[0] for arg in call.args} & self._draft.approximate
         return (
             bool(approximate) and call.predicate in NEEDS_TOUCH and self._judged(Call("Touching", call.args)) is False

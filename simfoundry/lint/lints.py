@@ -1,4 +1,4 @@
-"""Lints by name, their input (a document lowered as a draft), and their findings in a document."""
+"""The registry of lints, and a function that runs them on a document and its draft scene."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.runtime.plugins import Registry
-from simfoundry.spec.check.allow import sift, unused
+from simfoundry.spec.check.documents import sift, unused
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import Call
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.models.predicate import Call
 
 if TYPE_CHECKING:
     from simfoundry.lint.draft import DraftScene
@@ -21,19 +21,26 @@ if TYPE_CHECKING:
 Path_ = tuple[str | int, ...]
 
 MOST = 200
-"""Number of findings of one kind shown for one document; more appear once these are fixed."""
+"""Maximum number of findings per lint shown for one document; further findings appear once these are fixed."""
 
 
 def warning(loaded: Loaded, code: str, path: Path_, message: str, hint: str, about: tuple[str, ...] = ()) -> Diagnostic:
-    """Return a warning at a place of a document; ``about`` lists names that ``allow`` accepts besides those in the
-    path.
+    """Return a warning about a value in a document.
+
+    Args:
+        loaded: The document.
+        code: Code of the finding.
+        path: Path of the value.
+        message: Description of the problem.
+        hint: Suggestion for how to fix the problem.
+        about: Names under which ``allow`` can suppress the warning, in addition to those in the path.
     """
     assert loaded.document is not None
     return replace(loaded.document.finding(code, path, message, hint, Severity.WARNING), about=about)
 
 
 def where(loaded: Loaded, name: str) -> Path_:
-    """Return the path of an object's pose or placement, or of the object itself if it has neither."""
+    """Return the path of an object's placement or pose, or the path of the object itself if it has neither."""
     assert loaded.document is not None
     path: Path_ = ("objects", name)
     for key in ("place", "pose"):
@@ -44,7 +51,7 @@ def where(loaded: Loaded, name: str) -> Path_:
 
 @dataclass(frozen=True)
 class Lint:
-    """A check of one kind of document (``scene/1``, ``asset/1``, ``task/1``): yields findings of one code."""
+    """A check that yields findings with one code for some kinds of documents (``scene/1``, ``asset/1``, ``task/1``)."""
 
     code: str
     kinds: tuple[str, ...]
@@ -53,20 +60,23 @@ class Lint:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A document without errors, and its scene or the scene that it starts in; None for an asset."""
+    """A document without errors, and its draft scene.
+
+    For a task, ``draft`` is the scene in which the task starts; for an asset, it is None.
+    """
 
     loaded: Loaded
     draft: DraftScene | None = None
 
     @property
     def scene(self) -> DraftScene:
-        """Draft scene."""
+        """The draft scene."""
         assert self.draft is not None
         return self.draft
 
     @property
     def task(self) -> TaskSpec:
-        """Task of the document."""
+        """The task that the document defines."""
         from simfoundry.spec.models.task import TaskSpec
 
         assert isinstance(self.loaded.spec, TaskSpec)
@@ -74,7 +84,7 @@ class Subject:
 
     @cached_property
     def pending(self) -> list[tuple[Call, Path_]]:
-        """Predicates that the goals of a task require and that do not hold yet, each with its path."""
+        """Predicates that the goals of the task require but that do not hold initially, each with its path."""
         from simfoundry.lint.conditions import pending
 
         return pending(self)
@@ -99,10 +109,17 @@ LINTS = Registry(
 
 
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
-    """Return the findings of a document without errors and of the documents that it uses, each document once.
+    """Run the lints on a document and on the documents that it uses, each only once.
 
-    Findings suppressed by its ``allow`` are left out; an entry that suppresses nothing is a finding. Documents in
-    ``seen`` are skipped; those that are checked are added to it.
+    Findings that are suppressed by a document's ``allow`` are omitted. An ``allow`` entry that does not suppress
+    anything is itself a finding.
+
+    Args:
+        loaded: The document; if it has errors, it is not linted.
+        seen: Paths of documents to skip. Documents that are linted are added to this set.
+
+    Returns:
+        The findings.
     """
     seen = set() if seen is None else seen
     if loaded.spec is None or loaded.document is None or loaded.errors:
@@ -121,7 +138,7 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
 
 
 def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
-    """Return the findings of one document: the errors of lowering, or if there are none, those of the lints."""
+    """Yield the findings for one document: the errors from lowering or, if there are none, the lint findings."""
     kind = getattr(loaded.spec, "simfoundry", "")
     if kind not in ("scene/1", "asset/1", "task/1"):
         return
@@ -129,7 +146,7 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
 
     try:
         subject = Subject(loaded, None if kind == "asset/1" else drafted_start(loaded))
-    except SpecError as error:  # for a task or a used document, the scene's own check reports this
+    except SpecError as error:  # errors in other documents are reported when those documents are checked
         yield from (d for d in error.diagnostics if loaded.document is not None and d.file == loaded.document.file)
         return
     if kind == "asset/1":

@@ -1,4 +1,4 @@
-"""SF407 and SF408: objects that a task needs and that no gripper holds or no robot reaches."""
+"""Lints SF407 and SF408: objects that a task requires but that no gripper can grasp or no robot can reach."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds, solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.models.expressions import Call
-from simfoundry.spec.models.predicate import Effect
+from simfoundry.spec.models.predicate import Call, Effect
 from simfoundry.spec.models.robot import RobotSpec
 
 SLACK = 0.001
-"""Excess width [m] over the opening that still fits: openings are given in whole millimeters."""
+"""Amount by which an object may be wider than the gripper opening [m], because openings are rounded to millimeters."""
 
 
 def too_wide(subject: Subject) -> Iterator[Diagnostic]:
-    """Find objects to be carried whose narrowest width exceeds the opening of every robot."""
+    """Find objects that must be grasped but whose narrowest width exceeds the gripper opening of every robot."""
     from simfoundry.geometry.grasp_width import grasp_width
 
     draft, robots = subject.scene, acting_robots(subject)
@@ -65,7 +64,7 @@ TOO_WIDE = Lint("SF407", ("task/1",), too_wide)
 
 
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
-    """Find objects that must be reached but are out of reach, at the start or in a corner of their reset region."""
+    """Find objects that are out of reach but must be reached, either initially or in a corner of their reset region."""
     draft, hands = subject.scene, hands_of(acting_robots(subject))
     if not hands:
         return
@@ -89,7 +88,7 @@ def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
 
 
 def _needed(call: Call) -> tuple[str, ...]:
-    """Arguments of a predicate that a robot must reach."""
+    """Return the arguments of a predicate that a robot must reach to make the predicate true."""
     effect = call.declaration.effect
     if effect is Effect.PLACE:
         return call.args
@@ -97,7 +96,7 @@ def _needed(call: Call) -> tuple[str, ...]:
 
 
 def _ground_distance(draft: DraftScene, hand: Hand, name: str) -> float:
-    """Distance along the ground [m] from a base to the bounding box of an object, or of the named link."""
+    """Return the horizontal distance [m] from a robot base to the bounding box of an object or one of its links."""
     owner, _, part = name.partition(".")
     at = np.array(hand.at)
     spans = [(low[:2], high[:2]) for low, high in link_bounds(draft.scene.by_name[owner], part)]
@@ -105,7 +104,7 @@ def _ground_distance(draft: DraftScene, hand: Hand, name: str) -> float:
 
 
 def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterator[Diagnostic]:
-    """Corner of a reset region that is farthest out of reach."""
+    """Yield a finding for the corner of an object's reset region that is farthest out of reach, if there is one."""
     region = subject.task.reset.objects[name]
     low, high = subject.scene.bounds[name]
     x, y, _ = subject.scene.scene.by_name[name].X_WO.p.tolist()

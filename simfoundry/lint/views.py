@@ -1,4 +1,7 @@
-"""SF409 and SF412: objects that no camera sees, even without occlusion, and textures that cannot be used."""
+"""Lints SF409 and SF412: objects outside the view of every camera, and textures that cannot be used.
+
+Occlusion is not taken into account.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,16 @@ from simfoundry.spec.diagnostics import Diagnostic
 
 
 def unseen(subject: Subject) -> Iterator[Diagnostic]:
-    """Find free objects outside the view of every camera; cameras mounted on a robot are skipped, as they move."""
+    """Find free objects outside the view of every camera.
+
+    Cameras that are mounted on a robot are skipped because they move.
+    """
     free = [item.name for item in subject.scene.scene.objects if not item.fixed]
     yield from _unseen(subject, free, lambda name: where(subject.loaded, name))
 
 
 def unseen_at_start(subject: Subject) -> Iterator[Diagnostic]:
-    """Find objects that the start of a task puts outside the view of every camera."""
+    """Find objects that the initial state of a task places outside the view of every camera."""
     start = subject.task.start
     moved: dict[str, Path_] = {n: ("start", key, n) for key in ("place", "pose") for n in getattr(start, key)}
     yield from _unseen(subject, moved, moved.__getitem__)
@@ -47,7 +53,7 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
 
 
 def sees(camera: Camera, low: Array, high: Array) -> bool:
-    """Return True unless all corners of a box lie beyond one edge of the image."""
+    """Return False if all corners of a box are beyond the same edge of the image or behind the camera, else True."""
     x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
     x, y = camera.fx * x, camera.fy * y
     right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy
@@ -56,13 +62,13 @@ def sees(camera: Camera, low: Array, high: Array) -> bool:
 
 
 def off_axis(camera: Camera, point: Array) -> float:
-    """Angle between the optical axis and a point in the world [deg]."""
+    """Return the angle between the optical axis and the direction to a point in the world frame [deg]."""
     x, y, z = camera.X_WC.inverse().apply(point)
     return math.degrees(math.atan2(math.hypot(x, y), z))
 
 
 def half_angle(camera: Camera) -> float:
-    """Angle between the optical axis and the farthest corner of the image [deg]."""
+    """Return the angle between the optical axis and the farthest corner of the image [deg]."""
     across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx) / camera.fx
     down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy) / camera.fy
     return math.degrees(math.atan(math.hypot(across, down)))
@@ -76,7 +82,7 @@ HINT = "add the file, or remove its name from the mesh; the surface is rendered 
 
 
 def lost_textures(subject: Subject) -> Iterator[Diagnostic]:
-    """Find textures of meshes that are missing or cannot be read."""
+    """Find mesh textures that are missing or unreadable."""
     from simfoundry.assets.textures import document_faults
 
     for path, wrong in document_faults(subject.loaded, subject.loaded.spec):  # type: ignore[arg-type]

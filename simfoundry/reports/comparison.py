@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.reports.pictures import Label, place_labels
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
-from simfoundry.spec.change.diff.poses import motion, words
+from simfoundry.spec.change.diff.values import motion, motion_words
 from simfoundry.spec.change.diff.words import MemberChange, summary
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
@@ -90,7 +90,7 @@ def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) 
         found = motion(*({"xyz": tuple(X.p), "quat_wxyz": tuple(X.q)} for X in (there.X_WO, item.X_WO)))
         if math.hypot(*found.shift) < SEEN_M and found.angle < SEEN_DEG:
             continue
-        told = words(found)
+        told = motion_words(found)
         if entry is None:
             verbs = (*told, "along with the object that its place refers to")
             entries.append(MemberChange("objects", item.name, "", ("moved",), verbs, ()))

@@ -44,6 +44,10 @@ LEAST_MASS = LEAST_MOMENT = 1e-15
 """Least mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body."""
 
 
+TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
+"""Indices of the entries of an inertia matrix in a document's order: xx, yy, zz, xy, xz, yz."""
+
+
 class MeshUse(NamedTuple):
     """Options for reading a mesh file: its ``scale``, whether it ``touches`` others, its solid and its colliders.
 
@@ -131,7 +135,7 @@ class BodyBuilder:
         total = quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
-            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia), fixed)
+            return self._finished(total, np.array(inertial.com), np.array(inertial.inertia)[TENSOR], fixed)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
         if total is not None or fixed:  # a given mass is only distributed over the parts; a fixed body needs no mass
@@ -202,11 +206,6 @@ def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
     """Return the color stored in a mesh; textures are used unchanged."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
-
-
-def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _check_inertia(link: Link) -> float:

@@ -109,7 +109,7 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
 
     All other joints move freely, without friction or motors, so this is the smallest possible value.
     """
-    columns, names = _columns(tree)
+    columns = _columns(tree)
     mass_matrix = np.zeros((len(columns), len(columns)))
     X_OL = link_poses(tree.owner)
     carried = _carried(tree)
@@ -124,31 +124,28 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
         mass_matrix += link.mass * linear.T @ linear + angular.T @ turned @ angular
     mass_matrix += np.diag([0.0 if joint is None else joint.armature for joint, *_ in columns])
     felt = 1.0 / np.diag(np.linalg.inv(mass_matrix)) if columns else np.zeros(0)
-    return {name: float(value) for name, value in zip(names, felt, strict=True) if name}
+    joints = [joint for joint, *_ in columns]
+    return {j.name: float(v) for j, v in zip(joints, felt, strict=True) if j is not None and j.has_axis}
 
 
 _Column = tuple[Joint | None, Array, Array, bool]
 """One degree of freedom: the joint, or None for the free root; a point on its axis, the axis, and whether it slides."""
 
 
-def _columns(tree: Tree) -> tuple[list[_Column], list[str]]:
-    """Degrees of freedom of a tree, in the object's frame, and the joint of each that has one axis."""
+def _columns(tree: Tree) -> list[_Column]:
+    """Degrees of freedom of a tree, in the object's frame."""
     X_OL = link_poses(tree.owner)
     columns: list[_Column] = []
-    names: list[str] = []
     if not tree.fixed:
         origin = X_OL[tree.root.name].p
         columns += [(None, origin, axis, slides) for slides in (True, False) for axis in np.eye(3)]
-    names += [""] * len(columns)
     for joint in tree.joints:
         origin, rotation = X_OL[joint.child].p, X_OL[joint.child].rotation
         if joint.type is JointType.BALL:
             columns += [(joint, origin, axis, False) for axis in rotation.T]
-            names += [""] * 3
         elif joint.has_axis:
             columns.append((joint, origin, rotation @ joint.axis, joint.type is JointType.PRISMATIC))
-            names.append(joint.name)
-    return columns, names
+    return columns
 
 
 def _carried(tree: Tree) -> dict[str, frozenset[str]]:

@@ -30,13 +30,11 @@ from simfoundry.scene.objects import ObjectLowering, Progress
 from simfoundry.scene.place import PlaceError, needs, order, place_all, seen_by_camera
 from simfoundry.scene.state import pose as pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.files import is_document
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.data import to_data
-from simfoundry.spec.models.expressions import parse_call
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import CameraSpec, LightSpec, SceneSpec
+from simfoundry.spec.models.predicate import parse_call
+from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
+from simfoundry.spec.yaml.write import to_data
 
 
 @dataclass

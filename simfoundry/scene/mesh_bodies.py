@@ -31,7 +31,7 @@ from simfoundry.scene.bodies import GRAY, MeshUse
 from simfoundry.scene.model import Background, Visual
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.scene import BackgroundSpec
 
 

@@ -18,7 +18,7 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.walls import FOOT, LEVELS
 from simfoundry.scene.model import Collider, Link, SceneObject
 from simfoundry.scene.place import PlaceError, approach, misfit
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 
 POINTS = 600
 """Number of surface points whose plumb lines are tested: one every few millimeters on a hand-sized mesh."""

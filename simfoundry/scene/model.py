@@ -259,12 +259,12 @@ class Light:
 
 
 Splat = Gaussians
-"""Visual-only 3D Gaussians."""
+"""Visual-only 3D Gaussians, under a name that backends can import: they read scenes and not assets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Visual surroundings of a scene, without collisions: visuals posed in a frame ``X_WB``, or a splat."""
+    """Visual surroundings of a scene without collisions: visuals posed in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()

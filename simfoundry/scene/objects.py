@@ -17,13 +17,18 @@ from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
 from simfoundry.scene.state import pose
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.files import is_document
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models import base
 from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.models.positions import Written, position
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
-from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.models.scene import (
+    DEFAULT_VARIANT,
+    ObjectSpec,
+    SceneSpec,
+    Written,
+    position,
+    variant_names,
+    variant_of,
+)
 
 Progress = Callable[[str, int, int], None]
 """Callback that receives a name, the number of finished objects, and their total number."""

@@ -20,7 +20,7 @@ from simfoundry.geometry.walls import hollow, surrounded
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 
 CLEARANCE = 1e-4
 """Height of a placed object above its support [m], so that they do not interpenetrate."""

@@ -150,7 +150,9 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
         file = find_model(spec.model.file, document, ".yaml", fetch)
         described = read_robot_file(file)
     else:
-        described, file = RobotFileSpec.model_validate(_as_models(spec)), document
+        files = {"mjcf": spec.model.mjcf, "urdf": spec.model.urdf, "usd": spec.model.usd}
+        stated = {key: ModelSpec(file=name) for key, name in files.items() if name is not None}
+        described, file = RobotFileSpec.model_validate(stated), document
     models, missing = _models(described, file, fetch)
     if not models:
         raise NoModelError(missing)
@@ -166,12 +168,6 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
         models=MappingProxyType(models),
     )
     return _ROBOTS.setdefault(key, robot)
-
-
-def _as_models(spec: RobotSpec) -> dict[str, ModelSpec]:
-    assert not isinstance(spec.model, str)
-    files = {"mjcf": spec.model.mjcf, "urdf": spec.model.urdf, "usd": spec.model.usd}
-    return {key: ModelSpec(file=file) for key, file in files.items() if file is not None}
 
 
 def _models(spec: RobotFileSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:

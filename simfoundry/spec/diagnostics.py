@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -78,6 +77,8 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     meant = _plain(_synonyms().get(sought, ""))
     if meant in plain:
         return f"did you mean `{plain[meant]}`?"
+    import difflib
+
     similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparison is slow for many names
     match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:
@@ -102,7 +103,7 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
 
     def paint(text: str, style: str) -> str:
-        return _painted(text, style) if color else text
+        return f"\x1b[{_STYLES[style]}m{text}\x1b[0m" if color else text
 
     blocks = []
     for d in ordered(diagnostics):
@@ -125,10 +126,6 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
 
 _STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
 """Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue."""
-
-
-def _painted(text: str, style: str) -> str:
-    return f"\x1b[{_STYLES[style]}m{text}\x1b[0m"
 
 
 def printable(line: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from simfoundry.backends.artifact import Artifact
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool, report_progress
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 
 SILENCE_S = 900.0

@@ -17,13 +17,11 @@ import simfoundry
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.robot import lower_robot
 from simfoundry.scene.robot_files import NoModelError, companions
-from simfoundry.spec.files import is_document
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.robot_file import own_folder
-from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.models.scene import SceneSpec, variant_names, variant_of
 from simfoundry.spec.yaml.write import to_data
 from simfoundry.targets.find import Target
 

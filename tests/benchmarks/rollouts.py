@@ -23,7 +23,7 @@ from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
-from simfoundry.spec.models.expressions import AllOf, NoneOf
+from simfoundry.spec.models.predicate import AllOf, NoneOf
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import write_bench

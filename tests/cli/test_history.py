@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.change.git import lookup
+from simfoundry.spec.change.git import driver
 from tests.cli.command import run
 from tests.cli.repository import BASE, CABINET, OVERLAY, Repository
 
@@ -105,17 +105,17 @@ def test_what_a_document_only_refers_to_does_not_make_it_unknown(repository: Rep
 
 def test_where_it_takes_too_long_nothing_is_guessed(repository: Repository, monkeypatch: pytest.MonkeyPatch) -> None:
     top = repository.folder
-    blob = lookup.Blob(
+    blob = driver.Blob(
         "moved.scene.yaml", FASTER.encode(), repository.git("rev-parse", "HEAD:moved.scene.yaml").strip()
     )
-    assert lookup.read_beside(top, blob) is not None
-    monkeypatch.setattr(lookup, "MAX_STATES", 1)
-    assert lookup.read_beside(top, blob) is None
-    monkeypatch.setattr(lookup, "MAX_STATES", 5000)
-    monkeypatch.setattr(lookup, "LOOKUP_S", 0.0)
-    assert lookup.read_beside(top, blob) is None
-    gone = lookup.Blob("moved.scene.yaml", OVERLAY.encode(), "0123456789abcdef0123456789abcdef01234567")
-    assert lookup.read_beside(top, gone) is None
+    assert driver.read_beside(top, blob) is not None
+    monkeypatch.setattr(driver, "MAX_STATES", 1)
+    assert driver.read_beside(top, blob) is None
+    monkeypatch.setattr(driver, "MAX_STATES", 5000)
+    monkeypatch.setattr(driver, "LOOKUP_S", 0.0)
+    assert driver.read_beside(top, blob) is None
+    gone = driver.Blob("moved.scene.yaml", OVERLAY.encode(), "0123456789abcdef0123456789abcdef01234567")
+    assert driver.read_beside(top, gone) is None
 
 
 @pytest.mark.parametrize(

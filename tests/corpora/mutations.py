@@ -19,8 +19,8 @@ from pathlib import Path
 
 from simfoundry.lint.lints import lint
 from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Path_, parse

@@ -27,8 +27,8 @@ from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.check.scene import OF_LINKS
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import Change, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Pose, quat_from_rpy, rotate
 from simfoundry.predicates import Judge, Poses, StateBatch
 from simfoundry.scene.model import Scene
-from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import parse_call
 from simfoundry.worlds import World, open_world
 from tests.predicates.random_states import CASES, Case, random_batch, scene, states
 

@@ -16,11 +16,10 @@ from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import Call, parse_call, texts
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.predicate import Call, parse_call, texts
+from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
 from simfoundry.worlds import open_world
 from simfoundry.worlds.rest import is_ball

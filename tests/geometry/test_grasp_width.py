@@ -127,4 +127,4 @@ def test_grasp_width_and_reach_are_defined_once() -> None:
     assert definitions(r"^ *def (?:grip|grasp)_width\b") == ["geometry/grasp_width.py"]
     assert definitions(r"^ *def nearest_miss\b|^class \w*Reach\b") == ["robots/reach.py"] * 2
     users = set(definitions(r"import .*\bgrasp_width\b"))
-    assert {"lint/too_wide.py", "cousins/tasks/context.py", "cousins/objects/checks.py"} <= users
+    assert {"lint/robots.py", "cousins/tasks/context.py", "cousins/objects/checks.py"} <= users

@@ -15,7 +15,7 @@ from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 from tests.placing import (
     CUBE,
     FLAT,

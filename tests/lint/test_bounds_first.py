@@ -14,8 +14,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
-from simfoundry.spec.models.expressions import parse_call
-from simfoundry.spec.models.predicate import built_in_predicates
+from simfoundry.spec.models.predicate import built_in_predicates, parse_call
 from tests.lint.scenes import BOWL, written
 
 SHAPES = {

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.lint.draft import StartJudge
-from simfoundry.spec.models.expressions import parse_call
-from simfoundry.spec.models.predicate import PREDICATES
+from simfoundry.spec.models.predicate import PREDICATES, parse_call
 from tests.lint.scenes import BOWL, draft, found, written
 
 CUP = "shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2"

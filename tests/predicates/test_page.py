@@ -1,8 +1,7 @@
 """docs/predicates.md says what the predicates do."""
 
 from simfoundry.predicates.judging.docs_table import PAGE, table
-from simfoundry.spec.models.expressions import parse_call
-from simfoundry.spec.models.predicate import built_in_predicates
+from simfoundry.spec.models.predicate import built_in_predicates, parse_call
 from simfoundry.spec.yaml.spelling import call
 from tests.conftest import REPOSITORY
 

@@ -12,7 +12,7 @@ import pytest
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import ExpressionError, parse_call
+from simfoundry.spec.models.predicate import ExpressionError, parse_call
 from tests.cli.command import MAIN
 from tests.conftest import REPOSITORY
 from tests.foreign_package import write_package

@@ -26,8 +26,7 @@ from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen
 from simfoundry.scene.state import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
 from tests.assets.meshes import blob, obj
 from tests.placing import (

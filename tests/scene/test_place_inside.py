@@ -14,7 +14,7 @@ from simfoundry.geometry.shapes import Capsule, Sphere
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import CLEARANCE, PlaceError, place_all
-from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.placing import (
     CUBE,

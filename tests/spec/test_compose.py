@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.spec.diagnostics import render
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 

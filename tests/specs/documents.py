@@ -15,8 +15,8 @@ from simfoundry.geometry.shapes import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.task import ResetRegion, TaskSpec
 from tests.conftest import REPOSITORY
 

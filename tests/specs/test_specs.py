@@ -16,7 +16,7 @@ from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.change.format import format_file
 from simfoundry.spec.load import load
-from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.spec.models.predicate import parse_call, texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import read
 from simfoundry.worlds import open_world

@@ -24,11 +24,9 @@ from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds, solid
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
-from simfoundry.spec.models.expressions import Call, parse_call, texts
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.predicate import Effect
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.check.checker import HEAVIEST, LIGHTEST
+from simfoundry.spec.models.predicate import Call, Effect, parse_call, texts
+from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
@@ -139,7 +137,8 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
     """Check that every surface, visual and collision, is closed and encloses a volume."""
     for link in item.links:
-        for piece in (*link.colliders, *link.visuals):
+        pieces: tuple[Collider | Visual, ...] = (*link.colliders, *link.visuals)
+        for piece in pieces:
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)
             gaps = open_edges(faces)

@@ -14,13 +14,11 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.files import is_document
+from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
 from simfoundry.spec.models.base import BodySpec, Material
-from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, variant_names, variant_of
 from simfoundry.spec.yaml.write import to_yaml
 
 LINK = "body"

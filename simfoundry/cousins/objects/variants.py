@@ -31,7 +31,7 @@ from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
-from simfoundry.spec.check.plausible import volume
+from simfoundry.spec.check.checker import volume
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.asset import AssetSpec, LinkSpec
 from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_value

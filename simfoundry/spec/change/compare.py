@@ -13,14 +13,12 @@ from simfoundry.spec.change.diff.words import MemberChange, describe, summary, t
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import sound_part
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.files import FileError
+from simfoundry.spec.files import FileError, Loaded
 from simfoundry.spec.load import kind_of, load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.kinds import model_of
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.yaml.write import to_data
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import yaml
 
-from simfoundry.spec.change.diff.changes import Add, Change, Remove, Reorder, Set, diff, members
-from simfoundry.spec.change.diff.renames import Path_, Rename, same
+from simfoundry.spec.change.diff.changes import Add, Change, Path_, Remove, Rename, Reorder, Set, diff, members, same
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.order import KeyOrder, key_order
+from simfoundry.spec.models.types import KeyOrder, key_order
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.spelling import call
 from simfoundry.spec.yaml.text import Document, parse
@@ -25,13 +25,6 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
 
 _BOM = "\ufeff"
-
-
-class _Absent:
-    """Marker for the value of a missing key."""
-
-
-ABSENT = _Absent()
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:

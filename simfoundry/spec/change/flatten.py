@@ -7,10 +7,8 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from simfoundry.spec.compose import EXCLUSIVE
 from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.order import field_order
-from simfoundry.spec.models.types import Pattern, file_patterns
+from simfoundry.spec.models.types import RIVALS, Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import write_tree
 
@@ -49,7 +47,7 @@ def full(spec: Model) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in field_order(type(spec)):
         value = getattr(spec, name)
-        rivals = {key for group in EXCLUSIVE if name in group for key in group} - {name}
+        rivals = RIVALS.get(name, set())
         if value is None or (name not in given and (rivals & given or (isinstance(value, dict | tuple) and not value))):
             continue
         out[name] = _plain(value)

@@ -1,18 +1,29 @@
-"""Checks shared by all kinds of documents."""
+"""Checks shared by all kinds of documents, including plausible densities."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from simfoundry.spec.check.plausible import implausible
 from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
-from simfoundry.spec.files import FileError, reachable
-from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
+from simfoundry.spec.files import FileError, Loaded, reachable
+from simfoundry.spec.models.base import (
+    WORLD,
+    BodySpec,
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    LatheShape,
+    Material,
+    Shape,
+    SphereShape,
+    quantity_value,
+)
 from simfoundry.spec.yaml.text import Document
 
 Path_ = tuple[str | int, ...]
@@ -33,21 +44,15 @@ class Checker:
         self.findings: list[Diagnostic] = []
         self._counts: Counter[Severity] = Counter()
 
-    def add(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
-        """Add an error."""
-        self._add(code, path, message, hint, Severity.ERROR, about)
-
-    def warn(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
+    def warn(self, code: str, path: Path_, message: str, hint: str = "") -> None:
         """Add a warning."""
-        self._add(code, path, message, hint, Severity.WARNING, about)
+        self.add(code, path, message, hint, Severity.WARNING)
 
-    def _add(self, code: str, path: Path_, message: str, hint: str, severity: Severity, about: tuple[str, ...]) -> None:
+    def add(self, code: str, path: Path_, message: str, hint: str = "", severity: Severity = Severity.ERROR) -> None:
+        """Add an error, or a finding of another severity."""
         self._counts[severity] += 1
         if self._counts[severity] <= MAX_FINDINGS:  # counted per severity, so that warnings do not hide errors
-            line, column = self.document.place(path)
-            dotted = ".".join(map(str, path))
-            file = self.document.source(path)
-            self.findings.append(Diagnostic(code, severity, message, file, line, column, dotted, hint, about))
+            self.findings.append(self.document.finding(code, path, message, hint, severity))
 
     def names(self, section: str) -> dict[str, Any]:
         """Return the names that a section of the text defines, including faulty members."""
@@ -131,3 +136,43 @@ class Checker:
         for name in materials if self.whole else ():
             if name not in used:
                 self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")
+
+
+LIGHTEST, HEAVIEST = 5.0, 23_000.0
+"""Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity."""
+
+
+def implausible(density: float) -> str:
+    """Return a hint for an implausible density [kg/m^3]; empty for a plausible one."""
+    if LIGHTEST <= density <= HEAVIEST:
+        return ""
+    return f"densities range from {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
+
+
+def volume(shape: Shape) -> float:
+    """Return the volume of a primitive [m^3]; infinite if it overflows."""
+    try:
+        value = _volume(shape)
+    except OverflowError:
+        return math.inf
+    return value if math.isfinite(value) else math.inf
+
+
+def _volume(shape: Shape) -> float:
+    match shape:
+        case BoxShape():
+            return math.prod(shape.box)
+        case SphereShape():
+            return 4 / 3 * math.pi * shape.sphere**3
+        case CylinderShape():
+            return math.pi * shape.cylinder.radius**2 * shape.cylinder.height
+        case CapsuleShape():
+            r, h = shape.capsule.radius, shape.capsule.height
+            return math.pi * r**2 * (h + 4 / 3 * r)
+        case LatheShape():
+            rings = shape.lathe.profile
+            thirds = ((a[0] ** 2 + a[0] * b[0] + b[0] ** 2) * (a[1] - b[1]) for a, b in pairwise(rings))
+            return abs(math.pi / 3 * sum(thirds))  # frusta; inner ones are subtracted from outer ones
+    corners = shape.prism.outline
+    doubled = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
+    return abs(doubled) / 2 * shape.prism.height

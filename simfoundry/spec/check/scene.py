@@ -1,20 +1,26 @@
-"""Check scenes: materials, assets, joints, places, robots, cameras, and relations."""
+"""Check scenes: materials, assets, joints, robots, cameras, and the names in places and conditions."""
 
 from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from graphlib import CycleError, TopologicalSorter
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.check.checker import Checker, Path_
-from simfoundry.spec.check.joints import check_joints, check_pair
-from simfoundry.spec.check.names import SceneNames
-from simfoundry.spec.check.plausible import volume
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_document, packaged_model
+from simfoundry.spec.check.asset import check_joints, check_pair
+from simfoundry.spec.check.checker import Checker, Path_, volume
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
+from simfoundry.spec.models.predicate import ExpressionError, parse_call, texts
 from simfoundry.spec.models.robot import RobotFiles, RobotSpec
-from simfoundry.spec.models.robot_file import find_robot, read_robot_file, robot_names
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
-from simfoundry.spec.models.variants import variant_of
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, ObjectSpec, Place, SceneSpec, variant_of
+
+if TYPE_CHECKING:
+    from simfoundry.spec.models.asset import AssetSpec
 
 OF_LINKS = ("scale", "visual", *BodySpec.model_fields)
 """Fields of an object that have no effect if its asset document defines them for its links."""
@@ -133,9 +139,13 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
     if isinstance(robot.model, RobotFiles):
         for key, suffixes in ROBOT_SUFFIXES.items():
             file: str | None = getattr(robot.model, key)
-            if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
-                _robot_file(c, key, file, (*path, "model", key))
+            if file is None or packaged_model(file) is not None:
+                continue
+            if c.file(file, (*path, "model", key), suffixes) and key == "file":
+                _robot_file(c, file, (*path, "model", key))
         return
+    from simfoundry.spec.models.robot_file import find_robot, robot_names
+
     try:
         known = find_robot(robot.model)
     except SimfoundryError as error:
@@ -148,14 +158,15 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
             c.name(joint, known.home, (*path, "joints", joint), f"joint of `{robot.model}`")
 
 
-def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
+def _robot_file(c: Checker, reference: str, path: Path_) -> None:
     """Check a robot file without opening its models."""
-    if key == "file":
-        file = c.loaded.file(reference)
-        try:
-            read_robot_file(file)
-        except SimfoundryError as error:
-            c.add("SF107", path, str(error).replace(str(file), reference))
+    from simfoundry.spec.models.robot_file import read_robot_file
+
+    file = c.loaded.file(reference)
+    try:
+        read_robot_file(file)
+    except SimfoundryError as error:
+        c.add("SF107", path, str(error).replace(str(file), reference))
 
 
 def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
@@ -176,3 +187,152 @@ def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
     for k, text in enumerate(written if isinstance(written, tuple) else ()):
         if isinstance(text, str):
             names.check_call(c, text, ("relations", k))
+
+
+EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
+
+
+class SceneNames:
+    """Names in a scene: ``objects`` and ``robots`` of its text, including faulty ones, and their parts."""
+
+    def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
+        self.scene, self.spec = scene, spec
+        data: Any = scene.document.data if scene.document is not None else {}
+        self.objects, self.robots = (_mapping(data, section) for section in ("objects", "robots"))
+
+    def asset(self, name: str) -> AssetSpec | None:
+        """Return the asset document of the object ``name``; None if it has none or the document is invalid."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
+        if used is None:
+            return None
+        from simfoundry.spec.models.asset import AssetSpec
+
+        return used.spec if isinstance(used.spec, AssetSpec) else None
+
+    def is_fixed(self, name: str) -> bool:
+        """Return True if the object ``name`` is fixed to the world."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        return item is not None and item.fixed
+
+    def is_known(self, name: str) -> bool:
+        """Return True if the parts of the object ``name`` are known."""
+        item = self.spec.objects.get(name) if self.spec is not None else None
+        if item is None:
+            return False
+        used = self.scene.used(item.asset) if item.asset is not None else None
+        return used is None or used.spec is not None
+
+    # -- findings -----------------------------------------------------------------------------------------------
+
+    def check_call(self, c: Checker, text: str, path: Path_) -> None:
+        """Check one predicate."""
+        try:
+            call = parse_call(text)
+        except ExpressionError as error:
+            c.add("SF202", path, str(error), nearest(error.word, error.choices) or EXAMPLE)
+            return
+        things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
+        if len(things) == 2 and self._overlap(*things):
+            both = (
+                f"`{things[0]}` is given for both" if things[0] == things[1] else "one of these is a part of the other"
+            )
+            message = f"`{call.predicate}` relates two objects, and {both}"
+            c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
+        for argument, kind in zip(call.args, call.kinds, strict=True):
+            match kind:
+                case "robot":
+                    c.name(argument, self.robots, path, "robot")
+                case "joint":
+                    self.check_joint(c, argument, path)
+                case "body" if argument.partition(".")[0] in self.robots:
+                    pass
+                case "body" | "thing":
+                    self.check_part(c, argument, path)
+
+    def _overlap(self, a: str, b: str) -> bool:
+        """Return True if two arguments share a link: one contains the other, or one is a joint that moves the other."""
+        (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
+        asset = self.asset(owner)
+        if asset is not None:
+            one, two = (asset.joints[part].child if part in asset.joints else part for part in (one, two))
+        return owner == other and (not one or not two or one == two)
+
+    def check_condition(self, c: Checker, condition: Any, path: Path_) -> None:
+        """Check a condition."""
+        for text, below in texts(condition):
+            self.check_call(c, text, (*path, *below))
+
+    def check_part(self, c: Checker, argument: str, path: Path_) -> None:
+        """Check the name of an object, of one of its links, or of one of its joints (the link that it moves)."""
+        name, _, part = argument.partition(".")
+        if c.name(name, self.objects, path, "object") and part:
+            asset = self.asset(name)
+            if asset is not None:
+                c.name(part, [*asset.links, *asset.joints], path, f"link or joint of `{name}`")
+            elif self.is_known(name):
+                c.add("SF201", path, f"`{name}` has no parts, so none is called `{part}`")
+
+    def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
+        """Check the name of an object with joints, or of one of its joints."""
+        name, _, joint = argument.partition(".")
+        if not c.name(name, self.objects, path, "object"):
+            return
+        asset = self.asset(name)
+        moving = [n for n, j in asset.joints.items() if j.type != "fixed"] if asset is not None else []
+        if joint and asset is not None and asset.joints:
+            c.name(joint, asset.joints, path, f"joint of `{name}`")
+        elif not moving and self.is_known(name):
+            c.add("SF201", path, f"`{name}` has no joints" + (f", so none is called `{joint}`" if joint else ""))
+
+    def check_place(self, c: Checker, name: str, place: Place, path: Path_) -> None:
+        """Check the names in the place of the object ``name``."""
+        for key in PLACE_REFERENCES:
+            other: str | None = getattr(place, key)
+            if other is not None and key in ("on", "inside"):
+                self.check_part(c, other, (*path, key))
+            elif other is not None:
+                c.name(other, self.objects, (*path, key), "object")
+
+    def check_order(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
+        """Check that no place depends on itself through other places."""
+        named = {name: {getattr(place, key) or "" for key in PLACE_REFERENCES} for name, place in places.items()}
+        needs = {name: {other.partition(".")[0] for other in others} & places.keys() for name, others in named.items()}
+        needs = _unsolved(needs)
+        for name in needs:
+            cycle = _cycle(name, needs)
+            if cycle:
+                shown = " → ".join(f"`{n}`" for n in (*cycle, name))
+                hint = "give one of them a `pose`, or place it on something else"
+                c.add("SF208", paths[name], f"the place of `{name}` depends on itself: {shown}", hint)
+
+
+def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """Return the entries that cannot be resolved: cycles, and entries that depend on them."""
+    sorter, solved = TopologicalSorter(needs), set[str]()
+    with suppress(CycleError):  # the sorter still yields all entries that do not depend on a cycle
+        sorter.prepare()
+    while ready := sorter.get_ready():
+        solved.update(ready)
+        sorter.done(*ready)
+    return {name: needed for name, needed in needs.items() if name not in solved}
+
+
+def _cycle(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
+    """Return the path from ``name`` back to itself; empty if there is none."""
+    todo: list[tuple[str, ...]] = [(name,)]
+    seen: set[str] = set()
+    while todo:
+        way = todo.pop(0)
+        for following in sorted(needs.get(way[-1], ())):
+            if following == name:
+                return way
+            if following not in seen:
+                seen.add(following)
+                todo.append((*way, following))
+    return ()
+
+
+def _mapping(data: Any, section: str) -> dict[str, Any]:
+    members = data.get(section) if isinstance(data, dict) else None
+    return members if isinstance(members, dict) else {}

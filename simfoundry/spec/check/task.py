@@ -1,14 +1,16 @@
-"""Check tasks: the names in goals, starts, and resets."""
+"""Check tasks and recipes: the names in goals, starts, resets, and axes."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from simfoundry.spec.check.asset import check_joints
 from simfoundry.spec.check.checker import Checker, Path_
-from simfoundry.spec.check.joints import check_joints
-from simfoundry.spec.check.names import SceneNames
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.check.scene import SceneNames
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.cousins import CousinsSpec
+from simfoundry.spec.models.predicate import parts, texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
 
@@ -42,18 +44,16 @@ def scene_names(scene: Loaded | None) -> SceneNames | None:
 
 def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
     """Check the names in a goal, and that the goal is not empty: an empty goal succeeds immediately."""
-    from simfoundry.spec.models.expressions import parts, texts
-
     if names is not None:
         names.check_condition(c, goal, path)
-    empty = [at for at, (tag, below) in _groups(goal, path, parts) if tag in ("all", "any") and not below]
+    empty = [at for at, (tag, below) in _groups(goal, path) if tag in ("all", "any") and not below]
     for at in empty or ([path] if not any(True for _ in texts(goal)) else []):
         never = at[-1] == "any"
         message = "a goal that lists nothing " + ("never succeeds" if never else "succeeds at once")
         c.warn("SF404", at, message, "name what must hold, as `Inside(cup, bowl)`")
 
 
-def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
+def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
     """Return every group of a condition with the path of its list."""
     tag, below = parts(condition)
     if tag == "text":
@@ -61,7 +61,7 @@ def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[
     found = [((*path, tag), (tag, below))]
     for k, item in enumerate(below):
         at = (*path, tag) if tag == "not" else (*path, tag, k)
-        found += _groups(item, at, parts)
+        found += _groups(item, at)
     return found
 
 
@@ -89,7 +89,37 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
     """Check that no object fixed to the world has a different start."""
-    item = names.spec.objects.get(name) if names.spec is not None else None
-    if item is not None and item.fixed:
+    if names.is_fixed(name):
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
         c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")
+
+
+def check_cousins(c: Checker, spec: CousinsSpec) -> None:
+    """Check a recipe."""
+    twin = c.use(spec.twin, ("twin",), ("scene/1", "task/1"), (".scene.yaml", ".task.yaml", ".yaml"))
+    if spec.object is not None and spec.object.library is not None:
+        c.file(spec.object.library, ("object", "library"), ())
+    if spec.distractors is not None and spec.distractors.library is not None:
+        c.file(spec.distractors.library, ("distractors", "library"), ())
+    spec_of_twin = twin.spec if twin is not None else None
+    names = scene_names(twin.used(spec_of_twin.scene) if twin and isinstance(spec_of_twin, TaskSpec) else twin)
+    if names is None:
+        return
+    if spec.scene is not None:
+        if spec.scene.anchor is not None:
+            c.name(spec.scene.anchor, names.objects, ("scene", "anchor"), "object")
+        for name, sides in spec.scene.objects.items():
+            path = ("scene", "objects", name)
+            if c.name(name, names.objects, path, "object") and names.is_fixed(name):
+                c.add("SF107", path, f"`{name}` is fixed in the twin, so it cannot move", "remove it here")
+            if name == spec.scene.anchor:
+                c.add("SF107", path, f"`{name}` is the anchor, which stays where it is", "remove it here")
+            if not sides:
+                c.add("SF105", path, f"no predicate is allowed for `{name}`", "list one, as `LeftOf`")
+    for name, wanted in spec.object.objects.items() if spec.object is not None else ():
+        c.name(name, names.objects, ("object", "objects", name), "object")
+        if spec.object is not None and "library" in wanted.sources and spec.object.library is None:
+            place = ("object", "objects", name, "sources")
+            c.add("SF107", place, f"variants of `{name}` come from a library, and there is none", "give `library`")
+    for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
+        c.name(name, names.objects, ("task", "objects", k), "object")

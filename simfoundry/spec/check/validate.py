@@ -22,16 +22,9 @@ MAX_FINDINGS = 200
 _CODES = {
     "missing": "SF102",
     "extra_forbidden": "SF101",
-    "too_short": "SF105",
-    "too_long": "SF105",
-    "string_too_long": "SF105",
-    "greater_than": "SF104",
-    "greater_than_equal": "SF104",
-    "less_than": "SF104",
-    "less_than_equal": "SF104",
-    "finite_number": "SF104",
-    "literal_error": "SF106",
-    "string_pattern_mismatch": "SF106",
+    **dict.fromkeys(("too_short", "too_long", "string_too_long"), "SF105"),
+    **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal", "finite_number"), "SF104"),
+    **dict.fromkeys(("literal_error", "string_pattern_mismatch"), "SF106"),
 }
 
 _EXPECTED = {
@@ -49,6 +42,7 @@ _EXPECTED = {
 _JOINED = {"all", "any", "not"}
 """Keys of a condition mapping; each condition has exactly one of them."""
 
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
 """Number with a unit."""
 
@@ -205,7 +199,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
         values = "characters" if kind == "string_too_long" else "values"
         most = "at most" if "long" in kind else "at least"
         return f"expected {most} {bound} {values}, found {len(error['input'])}", description
-    if kind == "float_type" and isinstance(error["input"], str) and _is_number(error["input"]):
+    if kind == "float_type" and isinstance(error["input"], str) and _NUMBER.fullmatch(error["input"]):
         description = "remove the quotes"
     elif kind == "float_type" and (measured := _MEASURED.match(str(error["input"]))):
         rule, factor = _UNITS[measured[2]]
@@ -228,14 +222,6 @@ def _expected(error: Any) -> str:
         if error["type"].startswith(kind):
             return name
     return words
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _shown(value: Any) -> str:

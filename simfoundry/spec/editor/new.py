@@ -12,8 +12,8 @@ from string import Template
 
 from simfoundry.spec.change.format import format_text, schema_line
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.base import SphereShape
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec

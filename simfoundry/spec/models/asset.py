@@ -4,7 +4,6 @@ import math
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.models.base import (
     BodySpec,
@@ -23,6 +22,7 @@ from simfoundry.spec.models.base import (
     Shape,
     Vec3,
     exclusive,
+    fault,
 )
 
 
@@ -32,7 +32,7 @@ class PartSpec(Model):
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose in the link's frame.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
     color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
@@ -45,7 +45,7 @@ class PartSpec(Model):
     def _one_geometry(self) -> Self:
         exclusive(self, "shape", "mesh", needed=True)
         if self.mesh is None and self.scale != 1.0:
-            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
+            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
         return self
 
 
@@ -62,11 +62,12 @@ class Inertial(Model):
     @model_validator(mode="after")
     def _of_a_body(self) -> Self:
         if self.inertia is not None and not _is_of_a_body(self.inertia):
-            message = (
+            raise fault(
+                "sf104",
                 "no body has this inertia: its principal moments must be positive, "
-                "and none may exceed the sum of the other two"
+                "and none may exceed the sum of the other two",
+                "inertia",
             )
-            raise PydanticCustomError("sf104", "{message}", {"message": message, "at": "inertia"})
         return self
 
 
@@ -101,9 +102,9 @@ class LinkSpec(BodySpec):
     def _mass(self) -> Self:
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
-            raise PydanticCustomError("sf107", "`inertial` requires `mass`", {"at": "inertial"})
+            raise fault("sf107", "`inertial` requires `mass`", "inertial")
         if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
-            raise PydanticCustomError("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`", {})
+            raise fault("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`")
         return self
 
     @property
@@ -139,7 +140,7 @@ class DriveSpec(Model):
     @model_validator(mode="after")
     def _acts(self) -> Self:
         if self.stiffness == 0 and self.damping == 0:
-            raise PydanticCustomError("sf107", "a drive needs `stiffness` or `damping`", {})
+            raise fault("sf107", "a drive needs `stiffness` or `damping`")
         return self
 
 
@@ -149,7 +150,9 @@ class JointSpec(Model):
     type: JointKind = Field(description="Type of motion of the child in the parent.")
     parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of the child's frame in the parent's at position zero.")
+    pose: PoseSpec = Field(
+        PoseSpec.model_construct(), description="Pose of the child's frame in the parent's at position zero."
+    )
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: tuple[Number, Number] | None = Field(
         None, description="Minimum and maximum position of a prismatic joint [m]."
@@ -173,28 +176,24 @@ class JointSpec(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.type == "prismatic" and self.limits is None:
-            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in meters")
+            raise fault("sf107", "a prismatic joint needs `limits`, in meters")
         if self.type == "revolute" and self.limits_deg is None:
-            raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
+            raise fault("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
         for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):
             if given is not None and self.type != kind:
-                message = f"`{name}` belong to {kind} joints, and this one is {self.type}"
-                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+                raise fault("sf107", f"`{name}` belong to {kind} joints, and this one is {self.type}", name)
             if given is not None and given[0] >= given[1]:
-                raise PydanticCustomError("sf104", "the lower limit must be less than the upper limit", {"at": name})
+                raise fault("sf104", "the lower limit must be less than the upper limit", name)
         if sum(v * v for v in self.axis) < 1e-12:
-            raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
+            raise fault("sf104", "`axis` must not be zero", "axis")
         for name in ("damping", "friction", "armature") if self.type == "free" else ():
             if getattr(self, name):
-                message = f"`{name}` has no effect: a free joint holds nothing"
-                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+                raise fault("sf107", f"`{name}` has no effect: a free joint holds nothing", name)
         if self.closed is not None and self.type not in ("revolute", "prismatic"):
-            message = f"`closed` names a limit, and a {self.type} joint has none"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "closed"})
+            raise fault("sf107", f"`closed` names a limit, and a {self.type} joint has none", "closed")
         for name in ("mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
-                message = f"`{name}` belongs to joints with one axis, and this one is {self.type}"
-                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+                raise fault("sf107", f"`{name}` belongs to joints with one axis, and this one is {self.type}", name)
         return self
 
 

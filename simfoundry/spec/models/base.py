@@ -4,9 +4,18 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, LiteralString, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    StringConstraints,
+    Tag,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 NAME = r"^[a-z][a-z0-9_]*$"
@@ -86,9 +95,27 @@ class FormerKey:
 
 
 class Model(BaseModel):
-    """A part of a document: immutable, strict, no unknown keys."""
+    """A part of a document: immutable, strict, no unknown keys.
+
+    A field whose default is a model writes it as ``model_construct()``: validation would compile its schema at import.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+
+
+def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
+    """Return a validation error with the ``code`` of its finding, at the key ``at`` of the model."""
+    return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
+
+
+def _ordered(ends: tuple[float, ...]) -> tuple[float, ...]:
+    if ends[0] > ends[1]:
+        raise fault("sf104", "the minimum must not exceed the maximum")
+    return ends
+
+
+Ordered = AfterValidator(_ordered)
+"""Validator of a minimum and a maximum."""
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
@@ -99,9 +126,17 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
         return
     listed = ", ".join(f"`{n}`" for n in names)
     if given:
-        context = {"listed": listed, "n": len(given), "at": given[1]}
-        raise PydanticCustomError("sf107", "give one of {listed}, not {n}", context)
-    raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
+        raise fault("sf107", f"give one of {listed}, not {len(given)}", given[1])
+    raise fault("sf107", f"one of {listed} is needed")
+
+
+def _unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+    if abs(sum(v * v for v in quaternion) - 1) > 1e-3:  # files write six decimals, people often three
+        raise fault("sf104", "`quat_wxyz` must have length 1")
+    return quaternion
+
+
+Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_unit)]
 
 
 class PoseSpec(Model):
@@ -112,13 +147,11 @@ class PoseSpec(Model):
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
     )
-    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(None, description="Quaternion, w first.")
+    quat_wxyz: Quaternion | None = Field(None, description="Quaternion, w first.")
 
     @model_validator(mode="after")
     def _one_rotation(self) -> Self:
         exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
-        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
-            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
         return self
 
 
@@ -127,17 +160,15 @@ class CameraPose(Model):
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
-    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(
+    quat_wxyz: Quaternion | None = Field(
         None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
     )
 
     @model_validator(mode="after")
     def _one_rotation(self) -> Self:
         exclusive(self, "look_at", "quat_wxyz", needed=True)
-        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
-            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
         if self.look_at is not None and math.dist(self.look_at, self.xyz) < 1e-6:
-            raise PydanticCustomError("sf104", "a camera cannot look at its own position", {"at": "look_at"})
+            raise fault("sf104", "a camera cannot look at its own position", "look_at")
         return self
 
 
@@ -155,7 +186,7 @@ class Estimate(Model):
     @model_validator(mode="after")
     def _inside(self) -> Self:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
-            raise PydanticCustomError("sf104", "`value` lies outside `range`", {"at": "value"})
+            raise fault("sf104", "`value` lies outside `range`", "value")
         return self
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, PoseSpec, Positive
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, PoseSpec, Positive, fault
 
 
 class Intrinsics(Model):
@@ -33,7 +32,7 @@ class DepthImage(Model):
     @model_validator(mode="after")
     def _both(self) -> Self:
         if (self.camera is None) != (self.pose is None):
-            raise PydanticCustomError("sf107", "`camera` and `pose` of a depth camera go together")
+            raise fault("sf107", "`camera` and `pose` of a depth camera go together")
         return self
 
 

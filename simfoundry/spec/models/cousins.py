@@ -5,9 +5,19 @@ from __future__ import annotations
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
-from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, FormerKey, Model, Name, NonNegative, Number, Positive
+from simfoundry.spec.models.base import (
+    DocumentSpec,
+    FileName,
+    FormerKey,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Ordered,
+    Positive,
+    fault,
+)
 
 Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
 Source = Literal["procedural", "library", "model"]
@@ -27,7 +37,7 @@ class ValueRange(Model):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min is not None and self.max is not None and self.min > self.max:
-            raise PydanticCustomError("sf104", "`min` is greater than `max`", {"at": "min"})
+            raise fault("sf104", "`min` is greater than `max`", "min")
         return self
 
 
@@ -43,18 +53,12 @@ class SceneAxis(Model):
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
         1, description="Number of predicates that each object must satisfy at once."
     )
-    gap: tuple[NonNegative, NonNegative] = Field(
+    gap: Annotated[tuple[NonNegative, NonNegative], Ordered] = Field(
         (0.02, 0.2), description="Minimum and maximum gap between an object and the anchor [m]."
     )
-    yaw_deg: tuple[Number, Number] = Field((-180.0, 180.0), description="Minimum and maximum rotation about z [deg].")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for name in ("gap", "yaw_deg"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise PydanticCustomError("sf104", "the minimum must not exceed the maximum", {"at": name})
-        return self
+    yaw_deg: Annotated[tuple[Number, Number], Ordered] = Field(
+        (-180.0, 180.0), description="Minimum and maximum rotation about z [deg]."
+    )
 
 
 class ObjectVariants(Model):
@@ -94,13 +98,15 @@ class ObjectAxis(Model):
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    models: ObjectModels = Field(ObjectModels(), description="Models that generate variants if a source is `model`.")
+    models: ObjectModels = Field(
+        ObjectModels.model_construct(), description="Models that generate variants if a source is `model`."
+    )
 
 
 class DistractorAxis(Model):
     """Objects that the task does not involve: taken from a library, and placed without collision."""
 
-    count: tuple[Count, Count] = Field((1, 4), description="Minimum and maximum number in a scene.")
+    count: Annotated[tuple[Count, Count], Ordered] = Field((1, 4), description="Minimum and maximum number in a scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
     builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
         True, description="Also choose from the assets that come with SimFoundry."
@@ -111,18 +117,14 @@ class DistractorAxis(Model):
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Categories to leave out."
     )
-    mass: ValueRange = Field(ValueRange(), description="Mass [kg].")
-    volume: ValueRange = Field(ValueRange(), description="Volume [m^3].")
-    density: ValueRange = Field(ValueRange(), description="Density [kg/m^3].")
+    mass: ValueRange = Field(ValueRange.model_construct(), description="Mass [kg].")
+    volume: ValueRange = Field(ValueRange.model_construct(), description="Volume [m^3].")
+    density: ValueRange = Field(ValueRange.model_construct(), description="Density [kg/m^3].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.count[0] > self.count[1]:
-            raise PydanticCustomError("sf104", "the minimum is greater than the maximum", {"at": "count"})
         if self.library is None and not self.builtin_library:
-            raise PydanticCustomError(
-                "sf107", "`builtin_library: false` requires a `library`", {"at": "builtin_library"}
-            )
+            raise fault("sf107", "`builtin_library: false` requires a `library`", "builtin_library")
         return self
 
 
@@ -155,5 +157,5 @@ class CousinsSpec(DocumentSpec):
     @model_validator(mode="after")
     def _varies(self) -> Self:
         if self.scene is None and self.object is None and self.distractors is None and self.task is None:
-            raise PydanticCustomError("sf107", "one of `scene`, `object`, `distractors`, `task` is needed", {})
+            raise fault("sf107", "one of `scene`, `object`, `distractors`, `task` is needed")
         return self

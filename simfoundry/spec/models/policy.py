@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import Registry
-from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
+from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive, fault
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 """Key of a message to the policy, such as ``observation/wrist_image_left``."""
@@ -21,8 +21,7 @@ WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 def _variable(text: str) -> str:
     """Reject a text that is not a variable name, without repeating it, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
-        message = "expected the name of an environment variable in capitals, never a key itself"
-        raise PydanticCustomError("sf104", "{message}", {"message": message})
+        raise fault("sf104", "expected the name of an environment variable in capitals, never a key itself")
     return text
 
 
@@ -71,7 +70,7 @@ def _protocol(name: str) -> str:
     try:
         PROTOCOLS.load(name)
     except SimfoundryError as error:
-        raise PydanticCustomError("sf104", "{message}", {"message": str(error)}) from None
+        raise fault("sf104", str(error)) from None
     return name
 
 
@@ -127,9 +126,9 @@ class GripperConvention(Model):
     @model_validator(mode="after")
     def _apart(self) -> Self:
         if self.open == self.closed:
-            raise PydanticCustomError("sf104", "`open` and `closed` must differ", {"at": "closed"})
+            raise fault("sf104", "`open` and `closed` must differ", "closed")
         if self.threshold is not None and not 0 < self.threshold < 1:
-            raise PydanticCustomError("sf104", "`threshold` must lie between 0 and 1", {"at": "threshold"})
+            raise fault("sf104", "`threshold` must lie between 0 and 1", "threshold")
         return self
 
 
@@ -177,11 +176,9 @@ class PolicySpec(DocumentSpec):
         try:
             address_uri(self.protocol, self.address)
         except ValueError as error:
-            raise PydanticCustomError("sf104", "{message}", {"message": str(error), "at": "address"}) from None
+            raise fault("sf104", str(error), "address") from None
         if self.velocity_unit is not None and self.action_space != "joint_velocity":
-            message = "`velocity_unit` has no effect on joint positions"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "velocity_unit"})
+            raise fault("sf107", "`velocity_unit` has no effect on joint positions", "velocity_unit")
         if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
-            message = f"a server of {self.protocol} defines its own robot state; remove `state`"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "state"})
+            raise fault("sf107", f"a server of {self.protocol} defines its own robot state; remove `state`", "state")
         return self

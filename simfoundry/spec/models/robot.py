@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
-from pydantic_core import PydanticCustomError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive
+from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive, fault
 
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
 """Name of a joint in the robot's model."""
@@ -48,9 +47,9 @@ class RobotFiles(Model):
     def _any(self) -> Self:
         bare = [key for key in ("mjcf", "urdf", "usd") if getattr(self, key) is not None]
         if self.file is not None and bare:
-            raise PydanticCustomError("sf107", f"`file` names all models: remove `{bare[0]}`, or `file`", {})
+            raise fault("sf107", f"`file` names all models: remove `{bare[0]}`, or `file`")
         if self.file is None and not bare:
-            raise PydanticCustomError("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed", {})
+            raise fault("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed")
         return self
 
 
@@ -61,7 +60,7 @@ class RobotSpec(Model):
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
     ] = Field(description="A known robot, such as `franka_robotiq`, or the files of another one.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),

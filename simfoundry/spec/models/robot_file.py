@@ -33,7 +33,7 @@ class FrameSpec(Model):
     """A named frame of the robot, at a pose in a link of the model."""
 
     link: str = Field(description="The link, by the model's name.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of the frame in the link.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the frame in the link.")
 
 
 class FollowSpec(Model):
@@ -59,7 +59,7 @@ class AttachSpec(Model):
 
     file: Reference | list[Reference]
     to: str = Field(description="The link to attach it to.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in that link.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its base in that link.")
 
 
 class ModelSpec(Model):

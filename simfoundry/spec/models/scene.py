@@ -1,17 +1,20 @@
 """``scene/1``: objects, materials, cameras, lights and the relations among them."""
 
 import math
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
-from pydantic_core import PydanticCustomError
 
+from simfoundry.spec.files import is_document
 from simfoundry.spec.models.base import (
+    FARTHEST,
     BodySpec,
     CameraPose,
     Color,
     DocumentSpec,
     FileName,
+    FormerKey,
     Material,
     Model,
     Name,
@@ -19,15 +22,64 @@ from simfoundry.spec.models.base import (
     Number,
     Origin,
     PartName,
+    Point2,
     Point3,
     PoseSpec,
     Positive,
     Shape,
     Vec3,
     exclusive,
+    fault,
 )
-from simfoundry.spec.models.place import Place
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.types import RIVALS
+
+if TYPE_CHECKING:
+    from simfoundry.spec.models.asset import AssetSpec
+
+SIDES = ("left_of", "right_of")
+DEPTHS = ("in_front_of", "behind")
+PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
+"""Keys of a place that name an object."""
+
+
+class Place(Model):
+    """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
+
+    Left, right, front and behind are seen from the scene's viewpoint. Without `xy`, `local_xy` or one of these four,
+    the object is at the center of its support. With one of the four, it is aligned with the center of its anchor in
+    the other direction.
+    """
+
+    on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
+    inside: PartName | None = Field(
+        None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
+    )
+    xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
+    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
+        None, description="Position of its frame in the frame of its support [m]."
+    )
+    left_of: Name | None = Field(None, description="Object to the right of it.")
+    right_of: Name | None = Field(None, description="Object to the left of it.")
+    in_front_of: Name | None = Field(None, description="Object behind it, farther from the viewer.")
+    behind: Name | None = Field(None, description="Object in front of it, nearer to the viewer.")
+    gap: NonNegative = Field(0.03, le=FARTHEST, description="Gap to the object beside it [m].")
+    yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
+    rpy_deg: Vec3 | None = Field(
+        None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        exclusive(self, "on", "inside", needed=True)
+        exclusive(self, "yaw_deg", "rpy_deg")
+        exclusive(self, *SIDES)
+        exclusive(self, *DEPTHS)
+        beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
+        exclusive(self, "xy", "local_xy", *([beside] if beside else []))
+        if beside is None and self.gap != Place.model_fields["gap"].default:
+            raise fault("sf107", "`gap` is for left_of, right_of, in_front_of and behind", "gap")
+        return self
 
 
 class Degrees(Model):
@@ -57,17 +109,22 @@ DEFAULT_VARIANT = "default"
 """Name of the variant that is the object as written."""
 
 
-class VariantSpec(BodySpec):
-    """Differences of one variant from its object; all other properties are those of the object.
-
-    A new `shape` or `asset` also removes the object's `scale` and `visual`.
-    """
+class GeometrySpec(BodySpec):
+    """Geometry of an object or of one of its variants."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
+
+
+class VariantSpec(GeometrySpec):
+    """Differences of one variant from its object; all other properties are those of the object.
+
+    A new `shape` or `asset` also removes the object's `scale` and `visual`.
+    """
+
     visual: FileName | None = Field(None, description="A mesh to render instead of the shape.")
     category: Name | None = Field(None, description="Category, such as `mug`.")
     labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
@@ -77,25 +134,20 @@ class VariantSpec(BodySpec):
         exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         if not self.model_fields_set:
-            raise PydanticCustomError("sf107", "a variant lists its differences, and this one has none")
+            raise fault("sf107", "a variant lists its differences, and this one has none")
         return self
 
 
-class ObjectSpec(BodySpec):
+class ObjectSpec(GeometrySpec):
     """An object of the scene: a primitive `shape`, or an `asset` (a mesh file or an asset document)."""
 
-    shape: Shape | None = Field(None, description="A primitive.")
-    asset: FileName | None = Field(
-        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
-    )
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
     visual: FileName | None = Field(
         None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
     category: Name | None = Field(None, description="Category, such as `mug`; default: its name.")
     labels: Labels = Field((), description="Labels for vision systems, the most specific first; default: its category.")
     fixed: bool = Field(False, description="Welded to the world.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose of its frame in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its frame in the world.")
     place: Place | None = Field(None, description="Placement from which its pose is computed, instead of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
@@ -117,10 +169,9 @@ class ObjectSpec(BodySpec):
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
-            message = "`default` is the object as it is written, so no variant may have that name"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "variants"})
+            raise fault("sf107", "no variant may be called `default`, which is the object as written", "variants")
         if self.asset is None and self.visual is None and self.scale != 1.0:
-            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
+            raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
         return self
 
 
@@ -154,7 +205,7 @@ class LightSpec(Model):
     @model_validator(mode="after")
     def _shines_somewhere(self) -> Self:
         if math.hypot(*self.direction) < 1e-6:
-            raise PydanticCustomError("sf104", "`direction` must not be zero", {"at": "direction"})
+            raise fault("sf104", "`direction` must not be zero", "direction")
         return self
 
 
@@ -163,7 +214,7 @@ class BackgroundSpec(Model):
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
-    pose: PoseSpec = Field(PoseSpec(), description="Pose in the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the world.")
     scale: Positive = Field(1.0, description="Factor from the units of the file to meters.")
 
     @model_validator(mode="after")
@@ -194,3 +245,58 @@ class SceneSpec(DocumentSpec):
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")
+
+
+Written = float | Degrees | PoseSpec
+"""Position [m or rad], angle in degrees, or pose of a ball or free joint."""
+
+
+def number(position: Written) -> float:
+    """Convert a written position to a number [m or rad]; 0 for a joint with a pose."""
+    if isinstance(position, Degrees):
+        return math.radians(position.deg)
+    return position if isinstance(position, float | int) else 0.0
+
+
+def position(asset: "AssetSpec", name: str, given: Mapping[str, Written]) -> float:
+    """Return the position [m or rad] of a joint, 0 if not ``given``; a mimic joint follows its leader.
+
+    If the leaders form a cycle or a leader does not exist, the position is 0.
+    """
+    seen: set[str] = set()
+    scale, offset = 1.0, 0.0
+    while (joint := asset.joints.get(name)) is not None and joint.mimic is not None:
+        if name in seen:
+            return 0.0
+        seen.add(name)
+        scale, offset = scale * joint.mimic.multiplier, offset + scale * joint.mimic.offset
+        name = joint.mimic.joint
+    return scale * number(given.get(name, 0.0)) + offset if joint is not None else 0.0
+
+
+GEOMETRY = ("shape", "asset")
+OF_GEOMETRY = ("scale", "visual")
+"""Fields that belong to a shape or mesh and are dropped when it is replaced."""
+
+
+def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
+    """Return the variant ``name`` of an object, without further variants; ``default`` is the object as written.
+
+    Raises :class:`pydantic.ValidationError` if object and variant are incompatible, such as a `scale` for a primitive.
+    """
+    given: dict[str, Any] = {key: getattr(item, key) for key in item.model_fields_set - {"variant", "variants"}}
+    if name != DEFAULT_VARIANT:
+        over = item.variants[name]
+        changes = {key: getattr(over, key) for key in over.model_fields_set}
+        dropped = {rival for key in changes for rival in RIVALS.get(key, ())} - changes.keys()
+        if any(key in changes for key in GEOMETRY):
+            dropped |= {*OF_GEOMETRY, "joints"} - changes.keys()
+        if over.asset is not None and is_document(over.asset):  # its links define mass and material themselves
+            dropped |= BodySpec.model_fields.keys() - changes.keys()
+        given = {key: value for key, value in given.items() if key not in dropped} | changes
+    return ObjectSpec(**given)
+
+
+def variant_names(item: ObjectSpec) -> list[str]:
+    """Return the names of all variants of an object, ``default`` first; empty if it has none."""
+    return [DEFAULT_VARIANT, *item.variants] if item.variants else []

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
-from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, PoseSpec, Positive
-from simfoundry.spec.models.expressions import Condition
-from simfoundry.spec.models.place import Place
-from simfoundry.spec.models.scene import JointPosition
+from simfoundry.spec.models.base import (
+    DocumentSpec,
+    FileName,
+    Model,
+    Name,
+    Number,
+    Ordered,
+    Origin,
+    Point2,
+    PoseSpec,
+    Positive,
+    fault,
+)
+from simfoundry.spec.models.predicate import Condition
+from simfoundry.spec.models.scene import JointPosition, Place, SceneSpec
 
 Instruction = Annotated[str, StringConstraints(min_length=1, max_length=500)]
 Cells = Annotated[int, Field(ge=1, le=100)]
@@ -30,8 +41,7 @@ class Start(Model):
     def _once(self) -> Self:
         twice = [name for name in self.place if name in self.pose]
         if twice:
-            message = f"`{twice[0]}` has a place and a pose; give one"
-            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "pose"})
+            raise fault("sf107", f"`{twice[0]}` has a place and a pose; give one", "pose")
         return self
 
 
@@ -48,19 +58,11 @@ class Subtask(Model):
 class ResetRegion(Model):
     """Region in which an object starts; its height is unchanged."""
 
-    x: Point2 = Field(description="Minimum and maximum x in the world [m].")
-    y: Point2 = Field(description="Minimum and maximum y in the world [m].")
-    yaw_deg: Range = Field(
+    x: Annotated[Point2, Ordered] = Field(description="Minimum and maximum x in the world [m].")
+    y: Annotated[Point2, Ordered] = Field(description="Minimum and maximum y in the world [m].")
+    yaw_deg: Annotated[Range, Ordered] = Field(
         (0.0, 0.0), description="Minimum and maximum rotation about z, added to the scene's pose [deg]."
     )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for name in ("x", "y", "yaw_deg"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise PydanticCustomError("sf104", "the minimum must not exceed the maximum", {"at": name})
-        return self
 
 
 class Reset(Model):
@@ -90,3 +92,16 @@ class TaskSpec(DocumentSpec):
         600, description="Maximum number of control steps, after which the task has failed."
     )
     origin: Origin | None = Field(None, description="Origin of the task.")
+
+
+def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
+    """Return the document with its objects moved as the starts specify; later starts override earlier ones."""
+    objects = dict(spec.objects)
+    for start in starts:
+        for name, place in start.place.items():
+            objects[name] = objects[name].model_copy(update={"place": place})
+        for name, pose in start.pose.items():
+            objects[name] = objects[name].model_copy(update={"place": None, "pose": pose})
+        for name, joints in start.joints.items():
+            objects[name] = objects[name].model_copy(update={"joints": {**objects[name].joints, **joints}})
+    return spec.model_copy(update={"objects": objects})

@@ -32,7 +32,6 @@ _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
 """Strings that people and other YAML readers may interpret as a number, a time, or a date."""
-_ESCAPED = re.compile(f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}")
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
@@ -112,7 +111,8 @@ def _is_word(text: str) -> bool:
 
 def quoted(text: str) -> str:
     """Format a string in double quotes; characters that YAML forbids or treats as line breaks are escaped."""
-    return _ESCAPED.sub(lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
+    escaped = f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}"
+    return re.sub(escaped, lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
 
 
 @functools.lru_cache(maxsize=1024)

@@ -20,8 +20,8 @@ from simfoundry.frontends.usd.compiled.reading import read_spec, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError, open_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.yaml.write import to_data, to_yaml
 from tests.cli.command import run

@@ -5,8 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import Add, Change, Remove, Reorder, Set, members
-from simfoundry.spec.change.diff.renames import Path_, Rename, copied, renamed, same
+from simfoundry.spec.change.diff.changes import (
+    Add,
+    Change,
+    Path_,
+    Remove,
+    Rename,
+    Reorder,
+    Set,
+    copied,
+    members,
+    renamed,
+    same,
+)
 
 KINDS: dict[str, type[Change]] = {"set": Set, "add": Add, "remove": Remove, "rename": Rename, "reorder": Reorder}
 

@@ -11,11 +11,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.change.diff.changes import Add, Remove, Reorder, Set, diff, expression, to_json
-from simfoundry.spec.change.diff.renames import BESIDE, REFERENCES, SECTIONS, Rename, same
+from simfoundry.spec.change.diff.changes import (
+    BESIDE,
+    SECTIONS,
+    Add,
+    Remove,
+    Rename,
+    Reorder,
+    Set,
+    diff,
+    expression,
+    same,
+    to_json,
+)
 from simfoundry.spec.change.diff.words import describe
 from simfoundry.spec.models.base import Model, Name, PartName
 from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.types import REFERENCES
 from simfoundry.spec.yaml.write import to_data
 from tests.spec.change.changing import ChangeError, apply, from_json
 from tests.spec.strategies import ASSETS, SCENES

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.change.diff.changes import Reorder, diff
-from simfoundry.spec.change.diff.poses import motion, words
+from simfoundry.spec.change.diff.values import motion, motion_words
 from simfoundry.spec.change.diff.words import describe, summary, text
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Model
@@ -324,9 +324,9 @@ def test_a_rotation_is_the_same_in_every_form(roll: float, pitch: float, yaw: fl
         cr * cp * sy - sr * sp * cy,
     )
     written = tuple(round(v, 6) for v in quaternion)
-    assert words(motion({"rpy_deg": (roll, pitch, yaw)}, {"quat_wxyz": quaternion})) == []
-    assert words(motion({"rpy_deg": (roll, pitch, yaw)}, {"quat_wxyz": written})) == []
-    assert words(motion({"yaw_deg": yaw}, {"rpy_deg": (0.0, 0.0, yaw)})) == []
+    assert motion_words(motion({"rpy_deg": (roll, pitch, yaw)}, {"quat_wxyz": quaternion})) == []
+    assert motion_words(motion({"rpy_deg": (roll, pitch, yaw)}, {"quat_wxyz": written})) == []
+    assert motion_words(motion({"yaw_deg": yaw}, {"rpy_deg": (0.0, 0.0, yaw)})) == []
 
 
 @given(st.floats(0.1, 179.9), st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: math.hypot(*v) > 0.1), ANGLES)
@@ -347,7 +347,7 @@ def test_half_a_turn_has_an_axis(axis: tuple[float, float, float]) -> None:
     found = motion({}, {"quat_wxyz": (0.0, *axis)})
     assert found.angle == pytest.approx(180)
     assert min(math.dist(found.axis, axis), math.dist(found.axis, tuple(-v for v in axis))) < 1e-9
-    assert "-180" not in words(found)[0]
+    assert "-180" not in motion_words(found)[0]
 
 
 @given(st.tuples(SCENES, SCENES) | st.tuples(ASSETS, ASSETS))

@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simfoundry.spec.change.diff.renames import copied
-from simfoundry.spec.change.edit_text import ABSENT, edit_text, own_data
+from simfoundry.spec.change.diff.changes import copied
+from simfoundry.spec.change.edit_text import edit_text, own_data
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse

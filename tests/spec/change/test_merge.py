@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.change.merge.conflict import MergeConflict, dotted, parts
-from simfoundry.spec.change.merge.resolve import ResolveError, resolve
-from simfoundry.spec.change.merge.texts import UnmergeableError, merge_texts, new_errors
+from simfoundry.spec.change.merge.texts import ResolveError, UnmergeableError, merge_texts, new_errors, resolve
 from simfoundry.spec.change.merge.trees import Merged, merge
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import model_of

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.change.migrate import STEPS, Migration, migrated
+from simfoundry.spec.change.format import STEPS, Migration, migrated
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS, model_of
@@ -138,8 +138,8 @@ def test_keys_that_were_renamed_are_found_and_mended_where_they_stand(tmp_path: 
     recipe.write_text(FORMER)
     scene.write_text(SCENE)
     found = {(d.code, d.line, d.column, d.message) for d in load(recipe).findings}
-    assert ("SF101", 9, 10, "the key `most` is called `max` now") in found
-    assert ("SF101", 5, 35, "the key `together` is called `relations_per_object` now") in found
+    assert ("SF101", 9, 10, "the key `most` was renamed to `max`") in found
+    assert ("SF101", 5, 35, "the key `together` was renamed to `relations_per_object`") in found
     assert [d.line for d in load(scene).findings] == [7, 8, 9, 9]
     assert {d.hint for d in load(scene).findings} == {"run `simfoundry migrate` on the file"}
     assert run("migrate", "--check", str(tmp_path)).code == 1 and recipe.read_text() == FORMER

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.check.allow import unused
+from simfoundry.spec.check.documents import unused
 from simfoundry.spec.diagnostics import Severity
 from simfoundry.spec.load import load
 
@@ -125,7 +125,7 @@ def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, lin
         ("{drawer: 0.15}", "{door: 0.15}", "SF201", 9, "no joint is called `door`"),
         ("{cup: {on: desk}}", "{desk: {on: cup}}", "SF107", 9, "`desk` is fixed in the scene"),
         ("{cup: {on: desk}}", "{cup: {on: cup}}", "SF208", 9, "depends on itself"),
-        ("{objects: {cup: {x: [0.3", "{objects: {cup: {x: [0.6", "SF104", 11, "the lower end"),
+        ("{objects: {cup: {x: [0.3", "{objects: {cup: {x: [0.6", "SF104", 11, "the minimum"),
         ("{objects: {cup: {x", "{objects: {mug: {x", "SF201", 11, "no object is called `mug`"),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST, implausible, volume
+from simfoundry.spec.check.checker import HEAVIEST, LIGHTEST, implausible, volume
 from simfoundry.spec.models.base import (
     BodySpec,
     BoxShape,

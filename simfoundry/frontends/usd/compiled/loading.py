@@ -15,12 +15,11 @@ from simfoundry.frontends.usd.compiled.stage import StageError, StageNote
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import validate
-from simfoundry.spec.compose import EXCLUSIVE, compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.load import Known, checked
-from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.files import Loaded
+from simfoundry.spec.load import Known, checked, compose
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.types import RIVALS, models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, read
@@ -149,7 +148,7 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 def _rivals(key: str, above: Path_) -> set[str]:
     """Return the keys that ``key`` replaces; empty for a named mapping."""
-    rivals = {k for group in EXCLUSIVE if key in group for k in group} - {key}
+    rivals = RIVALS.get(key, set())
     return rivals if rivals and models_at(SceneSpec, above) else set()
 
 

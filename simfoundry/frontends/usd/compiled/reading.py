@@ -36,9 +36,9 @@ from simfoundry.frontends.usd.compiled.stage import (
 from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 from simfoundry.frontends.usd.compiled.variants import variant_data
 from simfoundry.frontends.usd.compiled.views import edited_camera, edited_light
-from simfoundry.spec.change.diff.renames import Rename
-from simfoundry.spec.change.diff.renames import renamed as with_new_names
-from simfoundry.spec.models.expressions import ExpressionError, parse_call
+from simfoundry.spec.change.diff.changes import Rename
+from simfoundry.spec.change.diff.changes import renamed as with_new_names
+from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
 if TYPE_CHECKING:
     from pxr import Usd

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.usd.compiled.stage import UNKNOWN, StageMember, StageNote, links_of
-from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec
-from simfoundry.spec.models.variants import GEOMETRY, OF_GEOMETRY, variant_of
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, GEOMETRY, OF_GEOMETRY, ObjectSpec, variant_of
 from simfoundry.spec.yaml.write import to_data
 
 Data = dict[str, Any]

@@ -2,18 +2,23 @@
 
 Documents are plain data: mappings with string keys, tuples, and scalars. Members of named mappings are matched by
 name. If one member disappears and a nearly equal one appears, the pair is treated as a rename
-(:mod:`simfoundry.spec.change.diff.renames`). Lists are replaced as a whole, except lists of expressions (``relations``,
+(:mod:`simfoundry.spec.change.diff.changes`). Lists are replaced as a whole, except lists of expressions (``relations``,
 ``all``, ``any``) and of pairs (``no_contact``), which are compared as sets: each expression or pair is a member whose
 name is its text. ``1`` and ``1.0`` are the same number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import difflib
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from simfoundry.spec.change.diff.renames import Path_, Rename, find_renames, renamed, same
+from simfoundry.spec.models.types import REFERENCES
+
+Path_ = tuple[str, ...]
 
 EXPRESSION_LISTS = ("relations", "all", "any")
 """Keys of lists of expressions, which are unordered."""
@@ -54,6 +59,15 @@ class Reorder:
 
     section: Path_
     order: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rename:
+    """Rename of the member ``old`` of the mapping at ``section``, and of every reference to it."""
+
+    section: Path_
+    old: str
+    new: str
 
 
 Change = Set | Add | Remove | Rename | Reorder
@@ -123,3 +137,220 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 def _other_kind(a: Any, b: Any) -> bool:
     """Return True if two shapes are of different kinds and therefore have no key in common."""
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
+
+
+NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
+"""Sections of a document whose members have names, in the order in which changes are shown."""
+
+SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
+"""Keys of mappings whose members have names."""
+
+ALIKE = 0.6
+"""Smallest fraction of equal values at which two members are treated as a rename."""
+
+IDENTITY = ("shape", "asset", "mesh", "model")
+"""Keys that identify a member: if one differs, the two members are different objects."""
+
+MAX_PAIRS = 40_000
+"""Largest number of candidate pairs for which similarity is computed; above it, only equal members match."""
+
+BESIDE = {"variant": "variants"}
+"""Keys whose value names a member of the mapping that contains them."""
+
+_EXPRESSIONS = ("relations", "goal", "all", "any", "not")
+"""Keys of expressions; their arguments are names of objects or robots."""
+
+_ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
+
+
+def find_renames(a: Any, b: Any) -> list[Rename]:
+    """Return the members of ``a`` that have a different name in ``b``, best match first in each section."""
+    found: dict[tuple[Path_, str], Rename] = {}
+    while True:
+        # Each rename can make references agree and thereby enable further matches, so repeat until none is found.
+        known = len(found)
+        spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
+        # Sections that define names come first, before those that only refer to them.
+        for path, x, y in sorted(_sections(renamed(a, found.values()), b, ()), key=lambda s: len(s[0])):
+            for rename in _matches(path, x, y):
+                meaning = (_space(path), rename.old, rename.new)
+                if not meaning[0] or meaning not in spaces:
+                    found.setdefault((path, rename.old), rename)
+                    spaces.add(meaning)
+        if len(found) == known:
+            return list(found.values())
+
+
+def renamed(data: Any, renames: Iterable[Rename]) -> Any:
+    """Return a copy of ``data`` with members and references renamed; all mappings are copied."""
+    local: dict[Path_, dict[str, str]] = {}
+    spaces: dict[str, dict[str, str]] = {}
+    for rename in renames:
+        local.setdefault(rename.section, {})[rename.old] = rename.new
+        spaces.setdefault(_space(rename.section), {}).setdefault(rename.old, rename.new)
+    spaces.pop("", None)
+    return _renamed(data, (), local, spaces)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Return True if two values are equal, including key order; ``1`` equals ``1.0`` but not ``true``."""
+    if isinstance(a, dict):
+        return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple | list):
+        return isinstance(b, tuple | list) and len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
+    return bool(a == b) or (a != a and b != b)
+
+
+def copied(value: Any) -> Any:
+    """Copy a value, including all nested mappings."""
+    match value:
+        case dict():
+            return {key: copied(item) for key, item in value.items()}
+        case tuple() | list():
+            return tuple(copied(item) for item in value)
+    return value
+
+
+def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, Any], dict[str, Any]]]:
+    """Yield every named mapping that both documents have at the same path."""
+    if not (isinstance(a, dict) and isinstance(b, dict)):
+        return
+    if path and path[-1] in SECTIONS:
+        yield path, a, b
+    for key, value in a.items():
+        if isinstance(value, dict) and key in b:
+            yield from _sections(value, b[key], (*path, key))
+
+
+def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
+    """Match members of ``a`` to differently named members of ``b``, most similar pair first, each used once."""
+    gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
+    come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
+    if len(gone) * len(come) > MAX_PAIRS:
+        equal: dict[frozenset[Any], list[_Member]] = {}
+        for new in come:
+            equal.setdefault(new.leaves, []).append(new)
+        for old in gone:
+            if equal.get(old.leaves):
+                yield Rename(path, old.name, equal[old.leaves].pop(0).name)
+        return
+    scored = ((_likeness(old, new), i, k) for i, old in enumerate(gone) for k, new in enumerate(come))
+    taken: set[str] = set()
+    for _, i, k in sorted(((-like, -_like(gone[i], come[k])), i, k) for like, i, k in scored if like >= ALIKE):
+        if gone[i].name not in taken and come[k].name not in taken:
+            taken |= {gone[i].name, come[k].name}
+            yield Rename(path, gone[i].name, come[k].name)
+
+
+class _Member:
+    """Named member with its values by path."""
+
+    def __init__(self, name: str, value: dict[str, Any]) -> None:
+        self.name, self.value = name, value
+        self.leaves = frozenset(_leaves(value, ()))
+        self.paths = frozenset(path for path, _ in self.leaves)
+
+
+def _likeness(old: _Member, new: _Member) -> float:
+    """Return the fraction of values in which two members agree; 0 for objects of different kinds."""
+    common = len(old.leaves & new.leaves)
+    if common < ALIKE * max(len(old.leaves), len(new.leaves)) or not _same_identity(old.value, new.value):
+        return 0.0
+    return common / len(old.paths | new.paths)
+
+
+def _like(old: _Member, new: _Member) -> float:
+    """Return the similarity of two names; it breaks ties between equally similar members."""
+    return difflib.SequenceMatcher(None, old.name, new.name).ratio()
+
+
+def _same_identity(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    return all(same(a.get(key), b.get(key)) for key in IDENTITY)
+
+
+def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
+    if isinstance(value, dict) and value:
+        for key, item in value.items():
+            yield from _leaves(item, (*path, key))
+    else:
+        yield path, value if isinstance(value, str | int | float | None) else repr(value)
+
+
+def _space(section: Path_) -> str:
+    """Return the section in which the names of a mapping are defined; empty if nothing refers to them."""
+    if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
+        return "objects"
+    return section[0] if len(section) == 1 else ""
+
+
+def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
+    """Rename the references in a value; ``path``, its location, already uses the new names."""
+    if isinstance(value, dict):
+        mapping: dict[str, Any] = value
+        if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
+            given = {key: _path_renamed(key, local, spaces if path[0] == "allow" else {}) for key in mapping}
+        else:
+            given = {**spaces.get(_space(path), {}), **local.get(path, {})}
+        names = _new_names(mapping, given)
+        items = ((names.get(key, key), item) for key, item in mapping.items())
+        return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
+    if not local or not path:
+        return copied(value)
+    if path[-1] in BESIDE:
+        return local.get((*path[:-1], BESIDE[path[-1]]), {}).get(value, value) if isinstance(value, str) else value
+    if path[-1] in REFERENCES:
+        return _reference(value, REFERENCES[path[-1]], spaces)
+    if path[-1] in _EXPRESSIONS:
+        return _expression(value, spaces)
+    return copied(value)
+
+
+def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
+    """Rename the members in a dotted path; a single name is looked up in ``spaces``."""
+    parts = text.split(".")
+    if len(parts) == 1:
+        return _name(text, NAMED, spaces)
+    for k in range(1, len(parts)):
+        name, again, number = parts[k].partition(" #")  # further conflicts at the same path are numbered
+        parts[k] = local.get(tuple(parts[:k]), {}).get(name, name) + again + number
+    return ".".join(parts)
+
+
+def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
+    """Return the new names of the keys of a mapping, except renames that would make two keys equal."""
+    kept = {key: names[key] for key in mapping if key in names} if names else {}
+    while kept:
+        count = Counter(kept.get(key, key) for key in mapping)
+        clash = [key for key, new in kept.items() if count[new] > 1]
+        if not clash:
+            break
+        for key in clash:
+            del kept[key]
+    return kept
+
+
+def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
+    """Rename the arguments of an expression, or of a list of them."""
+    match value:
+        case str():
+            return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)
+        case dict():
+            return {key: _expression(item, spaces) for key, item in value.items()}
+        case tuple() | list():
+            return tuple(_expression(item, spaces) for item in value)
+    return value
+
+
+def _reference(value: Any, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> Any:
+    if isinstance(value, tuple | list):
+        return tuple(_reference(item, sections, spaces) for item in value)
+    if not isinstance(value, str):
+        return value
+    head, dot, tail = value.partition(".")
+    return _name(head, sections, spaces) + dot + tail
+
+
+def _name(name: str, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> str:
+    return next((spaces[s][name] for s in sections if name in spaces.get(s, {})), name)

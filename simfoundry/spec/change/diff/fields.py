@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from simfoundry.spec.change.diff import poses, values
-from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
-from simfoundry.spec.change.diff.renames import SECTIONS, same
+from simfoundry.spec.change.diff import values
+from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, SECTIONS, expression, same
 from simfoundry.spec.models.base import Model
 
 Path_ = tuple[str, ...]
@@ -101,8 +100,8 @@ class Describing:
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
             return ()
         elif not same(old.get("pose"), new.get("pose")):
-            found = poses.motion(old.get("pose") or {}, new.get("pose") or {})
-            verbs += poses.words(found)
+            found = values.motion(old.get("pose") or {}, new.get("pose") or {})
+            verbs += values.motion_words(found)
             verbs.moved = found.moved or found.turned
             if self.verbose and not verbs.moved:
                 facts.append("same pose, written differently")
@@ -118,18 +117,18 @@ class Describing:
             and all(same(before.get(key), after.get(key)) for key in _CARRIER if key != "local_xy")
             and all((key in before) == (key in after) for key in ("xy", "local_xy"))
         ):
-            found = poses.motion(_flat(before), _flat(after))
-            verbs += poses.words(found)
+            found = values.motion(_flat(before), _flat(after))
+            verbs += values.motion_words(found)
             verbs.moved = found.moved or found.turned
             return
         verbs.append(f"is now {_where(new)} (was {_where(old)})")
-        turn = poses.motion({**_angles(old), "xyz": (0, 0, 0)}, {**_angles(new), "xyz": (0, 0, 0)})
-        verbs += poses.words(turn)
+        turn = values.motion({**_angles(old), "xyz": (0, 0, 0)}, {**_angles(new), "xyz": (0, 0, 0)})
+        verbs += values.motion_words(turn)
         verbs.moved = True
 
     def _pose(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> list[str]:
         """Describe the pose of a part, a joint or a background."""
-        found = poses.words(poses.motion(old, new))
+        found = values.motion_words(values.motion(old, new))
         label = _label(path)
         if found:
             return [f"{label} {', '.join(found)}"]

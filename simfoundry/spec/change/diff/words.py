@@ -6,16 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import Change, diff
+from simfoundry.spec.change.diff.changes import NAMED, Change, Rename, diff, renamed, same
 from simfoundry.spec.change.diff.fields import Describing
-from simfoundry.spec.change.diff.renames import Rename, renamed, same
 from simfoundry.spec.models.base import Model
 
 WIDTH = 100
 """Width of a line of changes [columns]; if a member needs more, each change gets its own line."""
-
-_NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
-"""Sections whose members are shown one by one, in this order; other changes come in between."""
 
 _RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
 _LAST = {"cameras": 8, "lights": 9, "materials": 10}
@@ -78,13 +74,13 @@ def describe(
     words = Describing(a, b, model, joint_units or {}, verbose)
     was = {(*r.section, r.new): r.old for r in renames}
     found: list[tuple[int, MemberChange]] = []
-    for section in _in_order(a, b):
+    for section in dict.fromkeys((*b, *a)):
         rank = _RANK.get(section, _LAST.get(section, 7))
         old, new = a.get(section), b.get(section)
-        if section in _NAMED and isinstance(old or {}, dict) and isinstance(new or {}, dict):
+        if section in NAMED and isinstance(old or {}, dict) and isinstance(new or {}, dict):
             found += ((rank, e) for e in _members(words, section, old or {}, new or {}, was))
         elif not same(old, new):
-            facts = words.field((section,), old, new, _given(a, section), _given(b, section))
+            facts = words.field((section,), old, new, section in a, section in b)
             if facts:
                 found.append((rank, MemberChange("", "", "", ("changed",), (), tuple(facts))))
     found += ((r, e) for r, e in _other_renames(renames))
@@ -102,25 +98,13 @@ def summary(entries: Iterable[MemberChange]) -> str:
     named = [e for e in entries if e.name]
     counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]
     parts = [f"{count} {mark}" for count, mark in counts if count]
-    parts += [f"{_topic(e)} changed" for e in entries if not e.name]
+    parts += [f"{e.facts[0].partition(' ')[0].rstrip(':')} changed" for e in entries if not e.name]
     return ", ".join(dict.fromkeys(parts))
 
 
 def _single(sentence: str) -> str:
     """Return a sentence on a single line, even if it quotes multi-line text."""
     return " ".join(sentence.split())
-
-
-def _topic(entry: MemberChange) -> str:
-    return entry.facts[0].partition(" ")[0].rstrip(":")
-
-
-def _in_order(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
-    return list(dict.fromkeys((*b, *a)))
-
-
-def _given(document: Mapping[str, Any], key: str) -> bool:
-    return key in document
 
 
 def _members(
@@ -150,7 +134,7 @@ def _members(
 def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:
     """Yield renames outside the named sections, such as parts of links or objects that a task refers to."""
     for r in renames:
-        if len(r.section) > 1 or r.section[0] not in _NAMED:
+        if len(r.section) > 1 or r.section[0] not in NAMED:
             kind = r.section[-1].removesuffix("s")
             where = f" of {r.section[-2]}" if len(r.section) > 1 else ""
             fact = f"{kind} {r.old}{where} renamed to {r.new}"

@@ -73,27 +73,17 @@ def commit(root: Path, revision: str) -> str:
     raise GitError(f"`{revision}` is neither a file nor a revision of this repository")
 
 
-def merge_base(root: Path, a: str, b: str) -> str:
-    """Return the merge base of two commits."""
-    return git(root, "merge-base", a, b).decode().strip()
-
-
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
     """Return the documents below a folder that differ between two commits, or a commit and the working tree."""
     found = []
-    for pair in _renames(root, *([old] if new is None else [old, new])):
+    for pair in renames_between(root, *([old] if new is None else [old, new])):
         names = [name for name in (pair.old, pair.new) if name is not None]
         if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
             found.append(pair)
     return sorted(found, key=lambda pair: pair.new or pair.old or "")
 
 
-def renamed_from(root: Path, old: str, new: str, path: str) -> str | None:
-    """Return the name of the file ``path`` in an older commit; None if it did not exist."""
-    return next((pair.old for pair in _renames(root, old, new) if pair.new == path), None)
-
-
-def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
+def renames_between(root: Path, *revisions: str) -> Iterator[Renamed]:
     """Yield the files that differ between two commits, or between a commit and the working tree."""
     options = ["--name-status", "-z", "-M", "--no-ext-diff", "--no-color", "--ignore-submodules"]
     fields = iter(git(root, "diff", *options, *revisions, "--").decode(errors="surrogateescape").split("\0"))

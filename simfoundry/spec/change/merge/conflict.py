@@ -11,6 +11,9 @@ from typing import Any
 
 Path_ = tuple[str, ...]
 
+CONFLICTS = "conflicts"
+"""Key of the open conflicts of a document."""
+
 
 class Absent(Enum):
     """Marker for a value that is missing on a side; ``null`` counts as a value."""

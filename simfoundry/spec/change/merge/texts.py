@@ -1,19 +1,24 @@
-"""Merge the texts of three documents."""
+"""Merge the texts of three documents, and resolve recorded conflicts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.merge.conflict import MergeConflict
+from simfoundry.spec.change.diff.changes import Rename, copied, renamed
+from simfoundry.spec.change.merge.conflict import ABSENT, CONFLICTS, MergeConflict, Path_, dotted, parts
 from simfoundry.spec.change.merge.equality import identical
+from simfoundry.spec.change.merge.members import reordered, rivals_at
 from simfoundry.spec.change.merge.trees import merge_trees
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
-from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
+from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 
 _UNREADABLE = ("SF002", "SF004", "SF005")
@@ -88,3 +93,125 @@ def _tree(text: str, name: str) -> YamlTree:
     if not isinstance(tree.value, dict):
         raise UnmergeableError(f"{name} is not a document")
     return tree
+
+
+Side = Literal["ours", "theirs"]
+
+
+class ResolveError(SimfoundryError):
+    """Error for a conflict that is not recorded or whose path no longer exists."""
+
+
+def resolve(
+    tree: YamlTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
+) -> tuple[YamlTree, list[str]]:
+    """Resolve conflicts with one side's values; return the document and the keys of the removed entries.
+
+    ``chosen`` contains keys of ``conflicts`` or parent paths (`objects.cup`); if it is empty, every conflict is
+    resolved. Mutually exclusive keys are resolved together.
+    """
+    data = copied(tree.data)
+    entries = data.get(CONFLICTS) if isinstance(data, dict) else None
+    if not isinstance(entries, dict) or not entries:
+        raise ResolveError("no conflict is recorded here")
+    keys = _chosen(entries, model, list(chosen))
+    names = dict[tuple[Path_, str], str]()
+    for key in keys:
+        path, entry = parts(key), entries[key]
+        if not isinstance(entry, dict) or not path:
+            raise ResolveError(f"the entry `{key}` is not a valid conflict")
+        _take(data, path, entry, entry.get(side, ABSENT), names)
+        if side == "theirs":
+            tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
+        del entries[key]
+    data[CONFLICTS] = {_under_new_name(key, names): entry for key, entry in entries.items()}
+    if not entries:
+        del data[CONFLICTS]
+    new = with_data(_without_gone(tree, names), renamed(data, _renames(names)) if names else data)
+    return new, keys
+
+
+def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[str]) -> list[str]:
+    if not chosen:
+        return list(entries)
+    found = dict[str, None]()
+    for wanted in chosen:
+        path = parts(wanted)
+        inside = [key for key in entries if key == wanted or parts(key)[: len(path)] == path]
+        if not inside:
+            listed = ", ".join(f"`{key}`" for key in entries)
+            raise ResolveError(f"no conflict is recorded at `{wanted}`; there is one at {listed}")
+        for key in inside:
+            found |= dict.fromkeys([key, *_rivals(entries, model, parts(key))])
+    return [key for key in entries if key in found]
+
+
+def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
+    """Yield the entries whose keys exclude the key at ``path``."""
+    if path:
+        rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
+        yield from (key for key in entries if parts(key) in rivals)
+
+
+def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: dict[tuple[Path_, str], str]) -> None:
+    """Set the value at ``path`` to one side's value."""
+    place = data
+    for k, part in enumerate(path[:-1]):
+        place = place.get(part) if isinstance(place, dict) else None
+        if not isinstance(place, dict):
+            raise ResolveError(f"`{dotted(path[: k + 1])}` no longer exists; remove the entry `{dotted(path)}`")
+    key, here = path[-1], entry.get("ours")
+    if value is ABSENT:
+        place.pop(key, None)
+    elif isinstance(place.get(key), dict) and _is_order(value, place[key]):
+        place[key] = {name: place[key][name] for name in reordered(place[key], value)}
+    elif key not in place and entry.get("base") == key and isinstance(here, str) and here in place:
+        if value in place and value != here:
+            raise ResolveError(f"`{dotted((*path[:-1], value))}` already exists; rename one of them by hand")
+        names[path[:-1], here] = value  # both sides renamed the member at `path`
+    else:
+        place[key] = value
+
+
+def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
+    """Return True if a value is the key order of a mapping rather than a new value for it."""
+    names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
+    return any(name in members for name in names)
+
+
+def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
+    """Return the key of a remaining entry, updated if its member was renamed."""
+    path = parts(key)
+    for (section, old), new in names.items():
+        if path[: len(section) + 1] == (*section, old):
+            return dotted((*section, new, *path[len(section) + 1 :]))
+    return key
+
+
+def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
+    return [Rename(section, old, new) for (section, old), new in names.items()]
+
+
+def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> YamlTree:
+    """Return the tree with members under their new names, which preserves their comments."""
+    for (section, old), new in names.items():
+
+        def with_new(members: YamlTree, old: str = old, new: str = new) -> YamlTree:
+            return replace(members, value={new if key == old else key: child for key, child in members.value.items()})
+
+        tree = _edited(tree, section, with_new)
+    return tree
+
+
+def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
+    """Return the tree with the comment that was stored beside a conflict."""
+    return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
+
+
+def _edited(tree: YamlTree, path: Path_, edit: Callable[[YamlTree], YamlTree]) -> YamlTree:
+    """Return the tree with the value at ``path`` edited, if there is one."""
+    if not path:
+        return edit(tree)
+    if not isinstance(tree.value, dict) or path[0] not in tree.value:
+        return tree
+    return replace(tree, value={**tree.value, path[0]: _edited(tree.value[path[0]], path[1:], edit)})

@@ -1,0 +1,222 @@
+"""Members of mappings in a merge: renames, groups of keys that are merged as a whole, and order."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+from simfoundry.spec.change.diff.changes import Rename, find_renames, renamed
+from simfoundry.spec.change.merge.conflict import MergeConflict, Path_
+from simfoundry.spec.change.merge.equality import same
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.types import EXCLUSIVE, RIVALS, models_at
+from simfoundry.spec.yaml.tree import YamlTree
+
+
+@dataclass(frozen=True)
+class SameNames:
+    """Three documents with every member under its new name.
+
+    ``edited`` contains the paths of members that one side renamed and the other removed; a rename counts as an edit.
+    """
+
+    base: YamlTree
+    ours: YamlTree
+    theirs: YamlTree
+    edited: frozenset[Path_] = frozenset()
+    conflicts: tuple[MergeConflict, ...] = ()
+
+
+def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
+    """Apply each side's renames to the other; if both renamed a member, ours wins."""
+    if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
+        return SameNames(base, ours, theirs)
+    data, datas = base.data, (ours.data, theirs.data)
+    found = [{(r.section, r.old): r for r in find_renames(data, side)} for side in datas]
+    if not any(found):
+        return SameNames(base, ours, theirs)
+    for_base = list[Rename]()
+    for_side: tuple[list[Rename], list[Rename]] = ([], [])
+    edited, conflicts = set[Path_](), list[MergeConflict]()
+    for here, there in ((0, 1), (1, 0)):
+        others = found[there]
+        taken = {(r.section, r.new): r.old for r in others.values()}
+        for key, rename in found[here].items():
+            twin = others.get(key)
+            if twin is not None:
+                if here == 0:
+                    for_base.append(rename)
+                    if twin.new != rename.new:
+                        for_side[1].append(Rename(rename.section, twin.new, rename.new))
+                        conflicts.append(MergeConflict((*key[0], key[1]), key[1], rename.new, twin.new))
+                continue
+            members = _members(datas[there], rename.section)
+            if rename.new in members or taken.get((rename.section, rename.new), rename.old) != rename.old:
+                continue  # the name refers to a different member there
+            for_base.append(rename)
+            for_side[there].append(rename)
+            if rename.old not in members and len(rename.section) == 1:
+                edited.add((*rename.section, rename.new))
+    trees = (_renamed(base, for_base), _renamed(ours, for_side[0]), _renamed(theirs, for_side[1]))
+    return SameNames(*trees, frozenset(edited), tuple(conflicts))
+
+
+def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
+    """Return True if some mapping lost a key and gained another; otherwise there is no rename."""
+    if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
+        return False
+    if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
+        return True
+    return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
+
+
+def _renamed(tree: YamlTree, renames: list[Rename]) -> YamlTree:
+    return _with_names(tree, renamed(tree.data, renames)) if renames else tree
+
+
+def _with_names(tree: YamlTree, data: Any) -> YamlTree:
+    """Return the tree with the keys and values of ``data``, its renamed data in the same order."""
+    if isinstance(data, dict):
+        pairs = zip(tree.value.values(), data.items(), strict=True)
+        return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})
+    if isinstance(data, tuple):
+        return replace(tree, value=tuple([_with_names(a, b) for a, b in zip(tree.value, data, strict=True)]))
+    return replace(tree, value=data)
+
+
+def _members(data: Any, section: Path_) -> dict[str, Any]:
+    for key in section:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data if isinstance(data, dict) else {}
+
+
+Members = Mapping[str, YamlTree]
+Sides = tuple[Members, Members]
+
+LED = (("type", ("limits", "limits_deg")),)
+"""Leading keys and the keys that depend on their value."""
+
+
+def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
+    """Return the mutually exclusive keys at ``path`` that are present only because both sides were combined."""
+    rivals = RIVALS.keys() & merged.keys()
+    found = set[str]()
+    for group in EXCLUSIVE if len(rivals) > 1 else ():
+        if _several(group, rivals) and not any(_several(group, side) for side in sides):
+            found |= set(group)
+    return found if found and model is not None and _holds_fields(model, path) else set()
+
+
+def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
+    """Return the keys at ``path`` for which one side changed a leading key and the other a dependent key."""
+    found = set[str]()
+    for lead, led in LED:
+        keys = (lead, *led)
+        if not any(lead in side for side in sides) or not any(k in side for k in led for side in (base, *sides)):
+            continue
+        a, b = ({k for k in keys if not same(base.get(k), side.get(k))} for side in sides)
+        differ = any(not same(sides[0].get(k), sides[1].get(k)) for k in keys)
+        crossed = (lead in a and b - {lead}) or (lead in b and a - {lead})
+        if crossed and differ and model is not None and set(keys) <= _fields(model, path):
+            found |= set(keys)
+    return found
+
+
+def rivals_at(model: type[Model] | None, path: Path_) -> set[str]:
+    """Return the keys that must be resolved together with the last key of ``path``."""
+    groups = [*EXCLUSIVE, *((lead, *led) for lead, led in LED)]
+    found = set(chain.from_iterable(group for group in groups if path[-1] in group)) - {path[-1]}
+    return found if found and model is not None and _holds_fields(model, path[:-1]) else set()
+
+
+def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iterator[str]:
+    """Yield the names that a start lists under both `pose` and `place`, which are mutually exclusive."""
+    place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
+    if model is not None and isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
+        yield from (name for name in place if name in pose)
+
+
+def _several(group: tuple[str, ...], keys: Container[str]) -> bool:
+    return sum(key in keys for key in group) > 1
+
+
+def _holds_fields(model: type[Model], path: Path_) -> bool:
+    """Return True if the keys of a mapping are fields rather than names."""
+    return bool(models_at(model, path)) and not _is_start(model, path)
+
+
+def _fields(model: type[Model], path: Path_) -> set[str]:
+    return {name for owner in models_at(model, path) for name in owner.model_fields}
+
+
+def _is_start(model: type[Model], path: Path_) -> bool:
+    from simfoundry.spec.models.task import Start
+
+    return path[-1:] == ("start",) and Start in models_at(model, path)
+
+
+@dataclass(frozen=True)
+class Order:
+    """Merged order of ``keys``; ``clash`` is True if both sides reordered the members of the base differently."""
+
+    keys: list[str]
+    clash: bool
+
+
+def merged_order(
+    base: Collection[str], ours: Collection[str], theirs: Collection[str], kept: Collection[str], ours_first: bool
+) -> Order:
+    """Return the order of the ``kept`` keys, each of which exists on at least one side.
+
+    If one side reorders keys that it shares with the base, its order wins. A key that only one side has follows its
+    predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted by
+    name, so that the result does not depend on which side is which. With ``ours_first``, our order wins if both
+    reordered.
+    """
+    core = [key for key in ours if key in theirs and key in kept]
+    core_theirs = [key for key in theirs if key in ours and key in kept]
+    shared, shared_theirs = ([k for k in keys if k in base] for keys in (core, core_theirs))
+    inside = set(shared)
+    before = [key for key in base if key in inside]
+    clash = shared != before and shared_theirs != before and shared != shared_theirs
+    if core != core_theirs:
+        if shared != before and (shared_theirs == before or (clash and ours_first)):
+            chosen = core
+        elif shared == before and shared_theirs != before:
+            chosen = core_theirs
+        else:
+            chosen = min(core, core_theirs)
+    else:
+        chosen = core
+    runs = [_runs(keys, core, kept) for keys in (ours, theirs)]
+    out = list[str]()
+    for anchor in (None, *chosen):
+        if anchor is not None:
+            out.append(anchor)
+        for run in sorted(found[anchor] for found in runs if anchor in found):
+            out += run
+    return Order(out, clash)
+
+
+def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
+    """Return the keys in the order ``wanted``; a key that it does not contain stays after its predecessor."""
+    keys = list(keys)
+    runs = _runs(keys, [key for key in wanted if key in set(keys)], keys)
+    out = runs.get(None, [])
+    for key in wanted:
+        if key in keys:
+            out = [*out, key, *runs.get(key, [])]
+    return out
+
+
+def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:
+    """Return the kept keys outside the core, grouped by the core key before them."""
+    inside, runs, anchor = set(core), dict[str | None, list[str]](), None
+    for key in keys:
+        if key in inside:
+            anchor = key
+        elif key in kept:
+            runs.setdefault(anchor, []).append(key)
+    return runs
