@@ -176,9 +176,9 @@ def _fallen(world: World, state: SceneState) -> set[str]:
 
 def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: set[str]) -> list[str]:
     if name in fallen:
-        return ["fell off the scene; it keeps its fitted pose"]
+        return ["fell off the scene and keeps its fitted pose"]
     if name in restless:
-        return ["never came to rest"]
+        return ["did not come to rest"]
     return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
@@ -210,7 +210,7 @@ def _report(
     if not kept:
         problems.append(f"no longer on {', '.join(w for w in wanted if w not in carried_by)}")
     if not supporters(name, contacts_after, STEEP):
-        problems.append("rests on nothing")
+        problems.append("is not supported by anything")
     return ObjectSettle(
         name=name,
         penetration_before=_deepest(name, contacts_before),
