@@ -135,7 +135,9 @@ def test_left_and_right_are_seen_from_the_robot(hand: Hand) -> None:
 
 
 def test_unknown_robots_are_named(hand: Hand) -> None:
-    with pytest.raises(PredicateError, match="there is no `leg` in this scene; there are: desk, cube, bowl, arm"):
+    with pytest.raises(
+        PredicateError, match="there is no `leg` in this scene; available objects and robots: desk, cube, bowl, arm"
+    ):
         hand.one.judge("Touching(leg, cube)", hand.one.start)
     with pytest.raises(PredicateError, match="`bowl` is not a robot with a gripper"):
         hand.one.judge("Grasped(cube, bowl)", hand.one.start)

@@ -135,7 +135,7 @@ def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> Non
         ),
         (
             '#usda 1.0\ndef Cube "a" {\n double size = inf\n}\n',
-            "and a document cannot hold that: Input should be a finite",
+            "which is invalid in a document: Input should be a finite",
         ),
         (
             FORWARD.replace(
