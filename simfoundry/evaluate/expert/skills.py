@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -260,12 +260,19 @@ def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
     release = _over(plan.place.X_WO, DROP)
     goal = release @ held.X_HO.inverse()
     line = planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held)
-    return line or _until_height(planner, plan.down, held, float(release.p[2]))
+    return line or until_height(plan.down, planner.arm.hand, held.X_HO, float(release.p[2]))
 
 
-def _until_height(planner: ArmPlanner, path: Path, held: Held, height: float) -> Path:
-    """Cut a downward path where the origin of the held object reaches a height [m]."""
-    heights = [float((planner.arm.hand(q) @ held.X_HO).p[2]) for q in path]
+def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: float) -> Path:
+    """Cut a downward path where the origin of the object in the hand reaches a height.
+
+    Args:
+        path: The path.
+        hand: A function that returns the hand pose for a configuration.
+        X_HO: The pose of the object in the hand.
+        height: The height [m].
+    """
+    heights = [float((hand(q) @ X_HO).p[2]) for q in path]
     below = next((k for k, z in enumerate(heights) if z < height), len(path))
     if below in (0, len(path)):
         return path[: max(below, 1)]
