@@ -86,10 +86,10 @@ def test_policies_do_its_tasks(bench: Path) -> None:
     [
         (
             "  links: {hand: {link: tool, pose: {xyz: [0, 0, 0.01], yaw_deg: -90}}}\n", "",
-            "has no identifiable hand: arm.xml has no link `hand`; there are: root, turret, boom, left, "
+            "has no identifiable hand: arm.xml has no link `hand`; available links: root, turret, boom, left, "
             "right, tool; name it in a robot file",
         ),
-        ("link: tool", "link: toll", "arm.xml has no link `toll`; there are: root"),
+        ("link: tool", "link: toll", "arm.xml has no link `toll`; available links: root"),
         ("joints: [turn, reach]", "joints: [turn, slide]", "no position actuator in arm.xml drives its joint `slide`"),
     ],
 )  # fmt: skip

@@ -233,7 +233,7 @@ def test_a_scene_chooses_a_variant(tmp_path: Path) -> None:
     assert sizes["cup.shape"] == "0.03 0.1"
     lost = [loss for loss in compile_scene(scene, "mjcf").losses if loss.path == "cup.variants"]
     assert [loss.reason for loss in lost] == [
-        "MJCF holds one variant: `tall` is written; `default`, `red` are left out."
+        "MJCF supports only one variant: `tall` is written; `default`, `red` are omitted."
     ]
     stage = stage_of(scene, tmp_path / "usd")
     choices = stage.GetPrimAtPath("/World/Objects/cup").GetVariantSets().GetVariantSet("variant")

@@ -83,7 +83,7 @@ def test_what_is_refused_says_why_with_numbers() -> None:
     assert len(found.accepted) < 2  # balls for one game do not differ by 6 % twice
     assert found.reasons.keys() <= {"alike", "size"} and sum(found.reasons.values()) == len(found.refused)
     alike = next(r for one in found.refused for r in one.reasons if r.code == "alike")
-    assert alike.text.startswith("it is too like another: size ") and alike.numbers["size"] < 0.06
+    assert alike.text.startswith("it is too similar to another") and alike.numbers["size"] < 0.06
 
 
 def test_a_swapped_scene_checks_and_lowers(scene: Loaded, task: Loaded, tmp_path: Path) -> None:
