@@ -129,7 +129,7 @@ def test_an_action_that_is_none_moves_nothing(env: TaskEnv, action: np.ndarray, 
 
 
 def test_slips_in_making_one_are_refused(push: Task) -> None:
-    with pytest.raises(SimfoundryError, match="scenes cannot be run in `mujuco`; the simulators are: "):
+    with pytest.raises(SimfoundryError, match="scenes cannot be run in `mujuco`; available simulators: "):
         TaskEnv(push, engine="mujuco")
     with pytest.raises(SimfoundryError, match="unknown render mode `human`"):
         TaskEnv(push, render_mode="human")

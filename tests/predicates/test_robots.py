@@ -157,7 +157,7 @@ def test_states_carry_the_robot(hand: Hand, engine: str) -> None:
         world.reset()
         assert world.state().robots["arm"]["panda_joint4"] == pytest.approx(-2.356194)
         bad = SceneState.of({}, {}, None, {"arm": {"elbow": 0.0}})
-        with pytest.raises(KeyError, match="no joint 'elbow' in robot 'arm'"):
+        with pytest.raises(KeyError, match="robot 'arm' has no joint 'elbow'"):
             world.reset(bad)
         with pytest.raises(KeyError, match="no robot 'leg'"):
             world.reset(SceneState.of({}, {}, None, {"leg": {}}))

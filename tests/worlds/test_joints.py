@@ -92,7 +92,7 @@ def test_reset_goes_to_any_state_and_back(engine: Engine) -> None:
         world.reset()
         assert_same(world.state(), initial)
         with pytest.raises(
-            KeyError, match=r"no ball or free joint 'pot\.lid' in this scene; there are: pendulum\.swing"
+            KeyError, match=r"the scene has no ball or free joint 'pot\.lid'; available names: pendulum\.swing"
         ):
             world.reset(SceneState.of({}, {}, {"pot.lid": Pose.of()}))
 
