@@ -1,6 +1,6 @@
 """Convex decomposition of meshes into collision geometry for all simulators.
 
-CoACD runs in a subprocess, because it may crash, hang, or exhaust memory on bad meshes.
+CoACD runs in a subprocess because it can crash, hang, or run out of memory on bad meshes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Distances between surfaces: convex parts or simplified meshes compared to the original mesh."""
+"""Measure how far convex parts or simplified meshes deviate from the original mesh."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ LEAST_VOLUME = 1e-10
 
 
 class MeshError(Exception):
-    """Error for an unusable mesh, with a diagnostic code, a message, and a hint."""
+    """Raised for an unusable mesh, with a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -24,7 +24,7 @@ class MeshError(Exception):
 
 
 def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
-    """Return the error for a mesh whose longest side is ``size`` [m] at ``scale``, or None if the size is plausible."""
+    """Return an error if the longest side of a mesh, ``size`` [m] at ``scale``, is implausible, or None otherwise."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimeters = SMALLEST < size / 1000 < LARGEST
@@ -38,18 +38,18 @@ def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
 
 def not_closed(name: str, gaps: int) -> MeshError:
     """Return the error for a mesh that has edges with a face on only one side."""
-    hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
+    hint = "close the mesh, or write `solid: hull` to use the volume of its convex hull"
     return MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on only one side", hint)
 
 
 def no_volume(name: str) -> MeshError:
     """Return the error for a surface that encloses no volume."""
-    return MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
+    return MeshError("SF301", f"{name} encloses no volume", "add thickness, or write `solid: hull`")
 
 
 def flat() -> MeshError:
     """Return the error for coplanar points, which have no convex hull."""
-    return MeshError("SF301", "the mesh is flat: all of its points are in one plane", "give it thickness")
+    return MeshError("SF301", "the mesh is flat: all of its points are in one plane", "add thickness")
 
 
 def too_large(name: str, size: int) -> MeshError:

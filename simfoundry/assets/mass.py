@@ -1,4 +1,4 @@
-"""Volume, center of mass and inertia of solids of uniform density."""
+"""Compute the volume, center of mass and inertia of solids with uniform density."""
 
 from __future__ import annotations
 

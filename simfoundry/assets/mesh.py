@@ -1,4 +1,4 @@
-"""Read mesh files: triangles, colors and textures, validated before further computation."""
+"""Read and validate the triangles, colors and textures in mesh files."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def _bands(profile: Array) -> list[Polygon]:
 
 
 def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
-    """Yield pairs of bands that touch along a line and are nearly convex together, with their union."""
+    """Yield the indices and the union of each pair of bands that share an edge and can be merged."""
     for first, second in combinations(range(len(bands)), 2):
         if bands[first].intersection(bands[second]).length > 1e-6:
             union = bands[first].union(bands[second])

@@ -309,7 +309,7 @@ class ModelDraft:
         self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
     def inexpressible(self, what: str, detail: str = "") -> None:
-        """Record an element that is omitted because the scene language has no construct for it."""
+        """Record an element that is omitted because the scene language cannot express it."""
         self.dropped(what, "the scene language cannot express it", detail)
 
     def changed(self, what: str, why: str, detail: str = "") -> None:
@@ -330,7 +330,7 @@ class ModelDraft:
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:
-        """Return limits [m] for a prismatic joint without limits, because documents require them."""
+        """Return limits [m] for a prismatic joint that has none, because documents require limits."""
         self.changed(what, f"it has no limits, so they are set to ±{UNLIMITED_SLIDE_M:g} m")
         return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 

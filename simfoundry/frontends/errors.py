@@ -1,4 +1,4 @@
-"""Errors for files that cannot be imported, including internal errors of an importer."""
+"""Errors for files that cannot be imported, including internal errors in an importer."""
 
 from __future__ import annotations
 

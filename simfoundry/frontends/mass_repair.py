@@ -38,7 +38,7 @@ INSIDE_LIMITS = 1e-6
 """Distance of a clamped joint position from the limit, relative to the range; prevents rounding beyond the limit."""
 
 WORLD_NAMES = ("world", "map", "universe")
-"""Names of a root link that represent the world."""
+"""Names of root links that represent the world."""
 
 
 def repair_masses(draft: ModelDraft, file: str) -> None:
@@ -250,7 +250,7 @@ def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None
         return
     if link.colliders:
         link.inertia = None
-        draft.changed(what, f"{reason}; computed from its shapes", detail)
+        draft.changed(what, f"{reason}; recomputed from its shapes", detail)
     else:
         _assume_ball(draft, link, reason, detail)
 

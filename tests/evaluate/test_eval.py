@@ -191,7 +191,7 @@ def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, t
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
     task = bench / "push.task.yaml"
     for arguments, said in [
-        ((task, "-p", "nothing"), "`nothing` is not a policy"),
+        ((task, "-p", "nothing"), "`nothing` is not a valid policy"),
         ((task, "-p", "random", "-p", "random"), "two policies have the label `random`"),
         ((task, task, "-p", "random"), "two tasks have the name `push`"),
         ((bench / "none", "-p", "random"), "does not exist"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -250,11 +250,35 @@ def _before(X_WH: Pose) -> Pose:
 
 
 def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
-    """Replan the path down to a placement, because the object may have slipped in the hand."""
+    """Replan the path down to a placement, because the object may have slipped in the hand.
+
+    If there is no such path, return the planned one up to the configuration where the object is at its release height:
+    further down, an object that slipped toward the fingertips would be pushed into its support.
+    """
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
-    goal = _over(plan.place.X_WO, DROP) @ held.X_HO.inverse()
-    return planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held) or plan.down
+    release = _over(plan.place.X_WO, DROP)
+    goal = release @ held.X_HO.inverse()
+    line = planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held)
+    return line or until_height(plan.down, planner.arm.hand, held.X_HO, float(release.p[2]))
+
+
+def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: float) -> Path:
+    """Cut a downward path where the origin of the object in the hand reaches a height.
+
+    Args:
+        path: The path.
+        hand: A function that returns the hand pose for a configuration.
+        X_HO: The pose of the object in the hand.
+        height: The height [m].
+    """
+    heights = [float((hand(q) @ X_HO).p[2]) for q in path]
+    below = next((k for k, z in enumerate(heights) if z < height), len(path))
+    if below in (0, len(path)):
+        return path[: max(below, 1)]
+    # Waypoints are at most 15 mm apart, so the height is close to linear between two of them.
+    fraction = (heights[below - 1] - height) / (heights[below - 1] - heights[below])
+    return [*path[:below], path[below - 1] + fraction * (path[below] - path[below - 1])]
 
 
 def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:

@@ -214,7 +214,7 @@ def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, flo
 
 
 def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
-    """Record every omitted element by kind and name."""
+    """Record all other elements that are not imported, by kind and name."""
     model, draft = source.model, source.draft
     for kind in ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple"):
         for k in range(int(getattr(model, f"n{kind}", 0))):

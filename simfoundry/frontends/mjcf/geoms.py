@@ -181,7 +181,7 @@ class MjcfGeoms:
         return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
 
     def png(self, texture: int) -> bytes:
-        """Return a texture as a PNG."""
+        """Encode a texture as PNG."""
         from PIL import Image
 
         model = self.model

@@ -144,7 +144,7 @@ class _MjcfReader:
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
         self.free_joints: dict[str, str] = {}
-        """Name of the free joint of each body."""
+        """Names of free joints, by body name."""
         self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
 

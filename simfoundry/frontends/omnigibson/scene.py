@@ -64,7 +64,7 @@ class _SceneReader:
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """Return the entries of `scene_objects_info.json` by object name."""
+        """Return the entries in `scene_objects_info.json` by object name."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:

@@ -178,7 +178,7 @@ class _TaskReader:
         return f"Touching({robots[0]}, {item})"
 
     def subtasks(self) -> dict[str, Any]:
-        """Return the milestones in an order that satisfies their `requires`."""
+        """Return the milestones as subtasks, ordered so that each one follows the milestones that it requires."""
         listed, names = self.predicates("milestone_predicates"), NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()

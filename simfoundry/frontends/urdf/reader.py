@@ -359,7 +359,7 @@ def _upright(normal: Array) -> Pose:
 
 
 def _lock(joint: JointDraft, position: float) -> None:
-    """Fix a joint at a position."""
+    """Convert a joint to a fixed joint at the given position."""
     axis = joint.axis / max(float(np.linalg.norm(joint.axis)), SAME_POSE)
     moved = Pose.of(axis * position) if joint.type == "prismatic" else Pose.about(axis, position)
     joint.X_PC = joint.X_PC @ moved
