@@ -139,7 +139,7 @@ def test_a_joint_that_is_not_there_is_named(lift: Scene, panda_lift: Scene) -> N
     for world in (MujocoWorld(lift), _pybullet(panda_lift)):
         with pytest.raises(KeyError, match="robot 'arm' has no joint 'elbow'; there are: joint1, joint2"):
             world.robot("arm").set_targets({"elbow": 0.0})
-        with pytest.raises(KeyError, match="no robot 'leg'; there are: arm"):
+        with pytest.raises(KeyError, match="no robot 'leg'; available: arm"):
             world.robot("leg")
         world.close()
 
