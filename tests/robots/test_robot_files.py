@@ -84,7 +84,7 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     toy = "robot_descriptions:toy_mj_description"
     assert find_model(toy, document, ".xml") == (tmp_path / "robot" / "robot.xml").resolve()
     assert find_model(f"{toy}/hand.xml", document, ".xml") == (tmp_path / "robot" / "hand.xml").resolve()
-    with pytest.raises(NoModelError, match="leaves `robot_descriptions:toy_mj_description`"):
+    with pytest.raises(NoModelError, match="is outside `robot_descriptions:toy_mj_description`"):
         find_model(f"{toy}/../secret.xml", document, ".xml")
     with pytest.raises(NoModelError, match="has no urdf file"):
         find_model(toy, document, ".urdf")
@@ -123,7 +123,7 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "models"))
     assert find_model(YAM, document, ".xml", fetch=False) == model.resolve()
     assert find_model("menagerie:i2rt_yam", document, ".xml") == model.resolve()
-    with pytest.raises(NoModelError, match="leaves `menagerie:i2rt_yam`"):
+    with pytest.raises(NoModelError, match="is outside `menagerie:i2rt_yam`"):
         find_model("menagerie:i2rt_yam/../secret.xml", document, ".xml")
     with pytest.raises(NoModelError, match=r"`menagerie:i2rt_yam` has no file hand\.xml"):
         find_model("menagerie:i2rt_yam/hand.xml", document, ".xml")
