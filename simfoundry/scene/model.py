@@ -335,14 +335,14 @@ class Scene:
         """Return the object called ``name``; the KeyError for an unknown name lists the available names."""
         if name in self.by_name:
             return self.by_name[name]
-        raise KeyError(f"no object {name!r}; available: {', '.join(o.name for o in self.objects)}")
+        raise KeyError(f"no object {name!r}; available objects: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
         """Return the robot called ``name``; the KeyError for an unknown name lists the available names."""
         for item in self.robots:
             if item.name == name:
                 return item
-        raise KeyError(f"no robot {name!r}; available: {', '.join(r.name for r in self.robots) or 'none'}")
+        raise KeyError(f"no robot {name!r}; available robots: {', '.join(r.name for r in self.robots) or 'none'}")
 
 
 def pair_friction(a: float, b: float) -> float:
