@@ -112,9 +112,9 @@ def test_an_arm_that_takes_no_positions_is_refused(bench: Path, actuator: str) -
     ("text", "said"),
     [
         ("mjcf: {file: models/arm.xml, arms: 2}", "my_arm.yaml: mjcf.arms: Extra inputs are not permitted"),
-        (FILE.replace("  joints: [turn, reach]\n", ""), "`joints` must list the arm's joints where there is a gripper"),
-        ("{}", "my_arm.yaml names no model; give `mjcf`, `urdf` or `usd`"),
-        ("mjcf: [", "robots/my_arm.yaml is not a robot file: line "),
+        (FILE.replace("  joints: [turn, reach]\n", ""), "`joints` must list the arm joints if the model has a gripper"),
+        ("{}", "my_arm.yaml does not define a model; add `mjcf`, `urdf` or `usd`"),
+        ("mjcf: [", "robots/my_arm.yaml is not a valid robot file: line "),
     ],
 )
 def test_a_faulty_robot_file_is_found_at_its_place_in_the_scene(bench: Path, text: str, said: str) -> None:
@@ -126,7 +126,9 @@ def test_a_faulty_robot_file_is_found_at_its_place_in_the_scene(bench: Path, tex
 def test_a_robot_file_and_bare_models_exclude_each_other(bench: Path) -> None:
     scene = bench.with_name("bench.scene.yaml")
     scene.write_text(SCENE.replace("{mjcf: arm.xml}", "{file: robots/my_arm.yaml, mjcf: robots/models/arm.xml}"))
-    assert any("`file` names all models: remove `mjcf`, or `file`" in str(e) for e in load(scene).errors)
+    assert any(
+        "`file` already defines all models; remove either `mjcf` or `file`" in str(e) for e in load(scene).errors
+    )
     scene.write_text(SCENE.replace("{mjcf: arm.xml}", "{file: robots/absent.yaml}"))
     assert any("robots/absent.yaml" in e.message for e in load(scene).errors)
 
