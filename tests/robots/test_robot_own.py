@@ -147,9 +147,9 @@ def test_a_folder_of_robot_files_makes_them_known_by_name(bench: Path, monkeypat
     scene.write_text(scene.read_text().replace("{file: robots/my_arm.yaml}", "my_arm"))
     assert any("my_arm" in d.message for d in load(scene).errors)
     monkeypatch.setenv(OWN_ROBOTS, str(robots))
-    with pytest.raises(SimfoundryError, match="needs `reach`, `opening` and `home`"):
+    with pytest.raises(SimfoundryError, match="must define `reach`, `opening` and `home`"):
         find_robot("my_arm")
-    assert any("needs `reach`, `opening` and `home`" in d.message for d in load(scene).errors)
+    assert any("must define `reach`, `opening` and `home`" in d.message for d in load(scene).errors)
     known = FILE.replace("links: {", "links: {boom: {link: boom}, ")
     (robots / "my_arm.yaml").write_text(f"reach: 0.4\nopening: 0.06\npayload: 0.5\nhome: [0.1, 0]\n{known}")
     assert not load(scene).errors

@@ -26,7 +26,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """File that a page shows under one of its headings (`Wrong`, `Right`, `Beside it`)."""
+    """File that a page shows under one of its headings (`Wrong`, `Right`, `Supporting files`)."""
 
     lead: str
     name: str
