@@ -1,1 +1,1 @@
-"""Meshes: readers, mass properties, and convex collision geometry."""
+"""Mesh readers, mass properties, and convex collision geometry."""

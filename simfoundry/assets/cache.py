@@ -1,7 +1,7 @@
 """Content-addressed disk cache for expensive results that depend only on their key.
 
-It can be deleted at any time, and its size is limited: least recently read entries are removed first. Entries are
-written atomically, so that any number of processes can share the cache.
+The cache can be deleted at any time. Its size is limited: the least recently read entries are evicted first. Entries
+are written atomically, so any number of processes can share the cache.
 """
 
 from __future__ import annotations
@@ -15,25 +15,31 @@ from pathlib import Path
 from simfoundry.runtime.files import write_atomically
 
 MAX_BYTES = 2 * 2**30
-"""Largest size of a cache [bytes]: the convex parts of about ten thousand meshes."""
+"""Maximum cache size [bytes]; enough for the convex parts of about ten thousand meshes."""
 
 SHELVES = 256
-"""Number of folders of a cache, by the first two digits of the keys; each may use its share of the bytes."""
+"""Number of folders in a cache, one for each value of a key's first two digits. The size limit is split evenly."""
 
 UNREAD_S = 24 * 3600.0
-"""Interval in which repeated reads of an entry do not update its access time."""
+"""Minimum age [s] of an entry's access time before another read updates it."""
 
 
 @dataclass(frozen=True)
 class Cache:
-    """Bytes by key below ``folder``, at most ``most`` in total; entries are written atomically and never change."""
+    """A key-value store of bytes in ``folder``, limited to ``most`` bytes in total.
+
+    Entries are written atomically and never change.
+    """
 
     folder: Path
     most: int = MAX_BYTES
 
     @classmethod
     def default(cls) -> Cache:
-        """Return the user's cache: ``$SIMFOUNDRY_CACHE``, else below ``$XDG_CACHE_HOME``, else below ``~/.cache``."""
+        """Return the user's cache.
+
+        Its folder is ``$SIMFOUNDRY_CACHE`` if set, otherwise a subfolder of ``$XDG_CACHE_HOME`` or ``~/.cache``.
+        """
         own = os.environ.get("SIMFOUNDRY_CACHE")
         if own:
             return cls(Path(own))
@@ -52,7 +58,7 @@ class Cache:
         return data
 
     def put(self, key: str, data: bytes) -> None:
-        """Store ``data`` unless it is too large; write errors are ignored."""
+        """Store ``data`` under ``key`` unless it is too large; write errors are ignored."""
         path = self._path(key)
         if len(data) > self.most // SHELVES:
             return
@@ -67,7 +73,7 @@ class Cache:
 
 
 def _trim(shelf: Path, most: int) -> None:
-    """Remove least recently read entries until at most ``most`` bytes remain, and leftovers of killed writes."""
+    """Remove leftovers of interrupted writes, then evict the least recently read entries beyond ``most`` bytes."""
     kept = 0
     with os.scandir(shelf) as entries:
         found = [(entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries]
@@ -79,7 +85,7 @@ def _trim(shelf: Path, most: int) -> None:
 
 
 def key_of(*parts: bytes | str) -> str:
-    """Return the key of a computation: a hash of all its inputs."""
+    """Return the cache key of a computation, which is a hash of all its inputs."""
     h = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part

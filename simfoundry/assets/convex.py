@@ -1,6 +1,6 @@
 """Convex decomposition of meshes into collision geometry for all simulators.
 
-CoACD runs in a subprocess, because it may crash, hang, or exhaust memory on bad meshes.
+CoACD runs in a subprocess because it can crash, hang, or run out of memory on bad meshes.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 LIMITS = Limits(seconds=300.0, memory=8 * 2**30)
-"""Limits of one mesh; those of YCB take up to a minute of one core."""
+"""Resource limits per mesh; YCB meshes take up to a minute on one core."""
 
 FUNCTION = "simfoundry.assets.convex:run"
-"""Function that the subprocess calls."""
+"""The function to call in the subprocess."""
 
 MAX_PARTS = 32
-"""Largest number of colliders of a mesh; the simulation time is proportional to it."""
+"""Maximum number of colliders per mesh; simulation time is proportional to this number."""
 
 SETTINGS: dict[str, float | int] = {
-    # Of 0.05, 0.1 and 0.2 measured on YCB: with 0.1 the banana is 3 parts within 6.7 mm (2 within 10 with 0.2) and the
-    # mug 32 within 8.6 mm (23 within 12); 0.05 takes up to three times as long, for 6.7 mm where 0.1 has 8.2 (drill).
+    # Chosen from 0.05, 0.1 and 0.2 by measurements on YCB. A threshold of 0.1 splits the banana into 3 parts with an
+    # error of 6.7 mm (0.2: 2 parts, 10 mm) and the mug into 32 parts with 8.6 mm (0.2: 23 parts, 12 mm). A threshold of
+    # 0.05 takes up to three times as long and reduces the drill's error only from 8.2 to 6.7 mm.
     "threshold": 0.1,
     "max_convex_hull": MAX_PARTS,
     "seed": 0,
@@ -53,23 +54,32 @@ SETTINGS: dict[str, float | int] = {
 def decompose(
     name: str, vertices: Array, faces: Faces, report: Callable[[str], object] = lambda message: None
 ) -> list[Array]:
-    """Return the corners [m] of the convex pieces of a welded, closed mesh, each of shape (n, 3).
+    """Decompose a welded, closed mesh into convex pieces.
 
-    ``report`` receives a progress message every other second. Raises :class:`MeshError`, which names the mesh, if CoACD
-    fails.
+    Args:
+        name: Name of the mesh for messages.
+        vertices: Vertices of the mesh [m], shape (n, 3).
+        faces: Triangles of the mesh, shape (m, 3).
+        report: Function that receives a progress message every two seconds.
+
+    Returns:
+        The corners [m] of each piece, shape (k, 3).
+
+    Raises:
+        MeshError: If CoACD fails. The message names the mesh.
     """
-    message = f"cutting {name} into convex parts"
+    message = f"decomposing {name} into convex parts"
     report(message)
     try:
         return list(_worker().call(FUNCTION, vertices, faces, wait=lambda s: report(f"{message}, {s:.0f} s")))
     except WorkerError as error:
         hint = "repair or simplify the mesh, or write `collision: hull`"
-        raise MeshError("SF301", f"{name} cannot be decomposed: CoACD {error}", hint) from None
+        raise MeshError("SF301", f"{name} could not be decomposed: CoACD {error}", hint) from None
 
 
 @cache
 def settings() -> str:
-    """Return the settings that determine the pieces of a mesh."""
+    """Return a text with all settings that affect the decomposition of a mesh, for use in cache keys."""
     from importlib.metadata import version
 
     return f"coacd {version('coacd')} {sorted(SETTINGS.items())!r}"
@@ -77,7 +87,7 @@ def settings() -> str:
 
 @cache
 def _worker() -> Worker:
-    """Return the subprocess, which is started for the first mesh and reused for all others."""
+    """Return the subprocess, which is started for the first mesh and then reused."""
     return Worker(LIMITS)
 
 
@@ -93,33 +103,38 @@ def run(vertices: Array, faces: Faces) -> list[Any]:
 Part = tuple[Array, Faces]
 
 MAX_HULL_VERTICES = 64
-"""PhysX cooks at most 64 vertices into a hull and simplifies anything larger by itself."""
+"""Maximum number of vertices in a convex hull; PhysX simplifies larger hulls on its own."""
 
 SHALLOW_FILL, SHALLOW = 0.80, 0.07
-"""A mesh that fills this share also does, if its hollows are no deeper than this share of its longest side.
+"""Limits for meshes that also collide as their hull although they fill less than ``NEARLY_CONVEX`` of it.
 
-Measured on the 21 YCB-Video objects (`python -m tests.benchmarks.colliders FOLDER`): the cans, bottles and the marker,
-which are convex to a hand, fill 0.82 to 0.96 of their hulls with hollows of 3 to 6.8 %; the next are the pitcher (0.82,
-8.3 %) and the banana (0.65, 18 %), then containers and tools (below 0.45, above 10 %).
+The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its concave
+regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python -m
+tests.benchmarks.colliders FOLDER`). Cans, bottles and the marker, which a gripper can treat as convex, fill 0.82 to
+0.96 of their hulls with concave regions of 3 to 6.8 % in depth. Next are the pitcher (0.82, 8.3 %) and the banana
+(0.65, 18 %), followed by containers and tools (below 0.45, above 10 %).
 """
 
 PRIMITIVE_MARGIN = 0.01
-"""A primitive may be farther from the mesh than the hull by this share of the longest side, less than hulls are.
+"""How much farther from the mesh a primitive may be than the hull, as a fraction of the mesh's longest side.
 
-A prism of 24 sides or more is a cylinder by this, one of 12 sides is not.
+With this margin, a prism with at least 24 sides is replaced with a cylinder, but a prism with 12 sides is not.
 """
 
 PRIMITIVE_APART = 0.10
-"""Primitives farther from the hull than this share of the longest side are not compared with the mesh at all."""
+"""Maximum distance of a primitive from the hull, as a fraction of the mesh's longest side.
+
+Primitives farther away are rejected without being compared with the mesh.
+"""
 
 SLOW_FACES = 2000
-"""Smallest triangle count for caching hulls and primitives, which take a tenth of a second to compute."""
+"""Minimum number of triangles for which hulls and primitives are cached; computing them then takes about 0.1 s."""
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
-    """Return the convex hull of points [m], shape (n, 3), with at most ``limit`` vertices and outward faces.
+    """Return the convex hull of points [m], shape (n, 3), with at most ``limit`` vertices and outward-facing triangles.
 
-    Raises :class:`MeshError` for coplanar points.
+    Raises :class:`MeshError` if the points are coplanar.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -140,7 +155,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
 
 
 def _spread(points: Array, count: int) -> NDArray[np.int64]:
-    """Return the indices of ``count`` points that are far from each other, starting at the lowest corner."""
+    """Return the indices of ``count`` points that are far apart, selected greedily from the lowest corner."""
     chosen = [int(np.lexsort(points.T)[0])]
     distance = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:
@@ -151,9 +166,9 @@ def _spread(points: Array, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Colliders:
-    """Collision geometry of a mesh: convex ``parts``, or a single ``primitive``.
+    """The collision geometry for a mesh: convex ``parts``, or a single ``primitive``.
 
-    ``error`` [m] is the largest distance between its surface and that of the mesh.
+    ``error`` [m] is the maximum distance between the surfaces of the collision geometry and the mesh.
     """
 
     parts: tuple[Part, ...] = ()
@@ -169,11 +184,20 @@ def mesh_colliders(
     name: str = "the mesh",
     report: Callable[[str], object] = lambda message: None,
 ) -> Colliders:
-    """Return the colliders of a welded mesh: its ``hull``, convex parts (``decompose``), the best (``auto``), or none.
+    """Return the collision geometry for a welded mesh.
 
-    ``auto`` chooses a box, cylinder or sphere if it is as close to the mesh as the hull, otherwise the hull if the mesh
-    is nearly convex, and convex parts if it is not. ``report`` receives progress messages. Raises :class:`MeshError`,
-    which names the mesh, if it is flat or cannot be decomposed.
+    Args:
+        vertices: Vertices of the mesh [m], shape (n, 3).
+        faces: Triangles of the mesh, shape (m, 3).
+        how: Method as in a document's ``collision`` key: ``hull``, ``decompose``, ``auto`` or ``none``. With ``auto``,
+            a nearly convex mesh becomes a box, cylinder or sphere if that is about as close to the mesh as its hull,
+            and otherwise its hull. Any other mesh is decomposed into convex parts.
+        cache: Cache for the results.
+        name: Name of the mesh for messages.
+        report: Function that receives progress messages.
+
+    Raises:
+        MeshError: If the mesh is flat or cannot be decomposed. The message names the mesh.
     """
     if how == "none":
         return Colliders()
@@ -211,18 +235,18 @@ def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable
 
 
 def _is_solid(vertices: Array) -> bool:
-    """Return True if points span a volume; slivers make contacts unstable."""
+    """Return True if the points span a volume; slivers would make contacts unstable."""
     centered = np.asarray(vertices) - np.mean(vertices, axis=0)
     return len(vertices) >= 4 and float(np.linalg.svd(centered, compute_uv=False)[2]) > 1e-5
 
 
 def file_key(path: Path, scale: float, how: str) -> str:
-    """Return the cache key of the colliders of a mesh file read with a scale, without reading the mesh."""
+    """Return the cache key for the colliders of a mesh file read with ``scale``, without parsing the mesh."""
     return key_of("file colliders 1", how, repr(scale), settings(), file_digest(path))
 
 
 def pack_colliders(found: Colliders) -> bytes:
-    """Serialize colliders for a cache."""
+    """Serialize colliders for the cache."""
     stream = io.BytesIO()
     arrays: dict[str, Array | Faces] = {"error": np.array([found.error])}
     for k, (corners, sides) in enumerate(found.parts):
@@ -236,7 +260,7 @@ def pack_colliders(found: Colliders) -> bytes:
 
 
 def unpack_colliders(data: bytes) -> Colliders | None:
-    """Deserialize a cache entry; None if it is damaged and must be recomputed."""
+    """Deserialize colliders from a cache entry; return None if the entry is corrupt and must be recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             count = sum(name.startswith("v") for name in arrays.files)

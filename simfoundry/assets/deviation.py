@@ -1,4 +1,4 @@
-"""Distances between surfaces: convex parts or simplified meshes compared to the original mesh."""
+"""Measure how far convex parts or simplified meshes deviate from the original mesh."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 ON_MESH, ON_PARTS = 20_000, 4_000
-"""Points that are compared, on the mesh and on the parts: of an object of 20 cm the former are about 1 mm apart."""
+"""Numbers of sample points on the mesh and on the parts; on a 20 cm object, mesh samples are about 1 mm apart."""
 
 NEIGHBORS = 8
-"""Number of nearest samples whose triangles give an upper bound of the distance of a point."""
+"""Number of nearest samples whose triangles provide an upper bound on a point's distance."""
 
 TOGETHER = 256
-"""Points whose exact distance is computed at once, in the order of their bounds; few such batches are needed."""
+"""Batch size for exact distances, which are computed in the order of their bounds; few batches are needed."""
 
 ROUNDING = 1e-12
-"""Margin of a bound [m] for rounding errors, so that the triangle from which it was computed is found again."""
+"""Margin [m] added to a bound so that rounding cannot exclude the triangle from which it was computed."""
 
 CHECKED = 4_000
-"""Points of the mesh whose distance to the parts is computed: every fifth one suffices for an accuracy of 1 %."""
+"""Number of mesh samples whose distance to the parts is computed; one in five is enough for 1 % accuracy."""
 
 TOUCHING = 0.01
-"""Gap between parts, relative to the longest side, below which they count as touching: they were cut there."""
+"""Gap between parts, relative to the longest side, below which they are treated as touching along a cut."""
 
 
 def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -> float:
-    """Return the largest distance [m] between the surface of a mesh and the outer surface of convex parts.
+    """Return the maximum distance [m] between the surface of a mesh and the outer surface of convex parts.
 
-    It is sampled with a fixed seed and therefore reproducible. For points of the mesh outside all parts, it is the
-    distance to the nearest plane of a part; otherwise the distance from the outer points of the parts to the mesh.
+    The distance is sampled with a fixed seed, so it is reproducible. It is measured in both directions: from points on
+    the mesh that are outside all parts to the face planes of the nearest part, and from points on the outer surface of
+    the parts to the mesh.
     """
     points, owner = surface_samples(vertices, faces, ON_MESH)
     planes = [face_planes(corners, sides) for corners, sides in parts]
@@ -42,13 +43,17 @@ def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -
 
 
 def greatest_distance(points: Array, vertices: Array, faces: Faces) -> float:
-    """Return the largest distance [m] of points, shape (n, 3), to the surface of a mesh."""
+    """Return the maximum distance [m] from points, shape (n, 3), to the surface of a mesh."""
     samples, owner = surface_samples(vertices, faces, ON_MESH)
     return _greatest_distance(points, vertices[faces], samples, owner)
 
 
 def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return reproducible points, uniformly distributed over triangles, shape (count, 3), and their triangles."""
+    """Sample points uniformly on a surface with a fixed seed.
+
+    Returns:
+        The points, shape (count, 3), and the index of the triangle that contains each point, shape (count,).
+    """
     rng = np.random.default_rng(0)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -61,7 +66,7 @@ def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, N
 
 
 def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
-    """Return outward unit normals (n, 3) and offsets [m] of the faces of a convex part."""
+    """Return the outward unit normals, shape (n, 3), and plane offsets [m], shape (n,), of a convex part's faces."""
     a, b, c = (corners[sides[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)
@@ -70,7 +75,7 @@ def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
 
 
 def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """Return the signed distances [m] of points to the nearest part, negative inside, shape (n,)."""
+    """Return the signed distance [m] from each point to the nearest part, negative inside, shape (n,)."""
     nearest = np.full(len(points), np.inf)
     for normal, offset in planes:
         nearest = np.minimum(nearest, (points @ normal.T - offset).max(axis=1))
@@ -78,7 +83,7 @@ def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
 
 
 def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], touching: float) -> Array:
-    """Return points on the surfaces of the parts that no other part covers or touches, shape (n, 3)."""
+    """Return sample points on the surfaces of the parts that no other part covers or touches, shape (n, 3)."""
     found = []
     for k, (corners, sides) in enumerate(parts):
         points, _ = surface_samples(corners, sides, max(200, ON_PARTS // len(parts)))
@@ -89,10 +94,10 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
 
 
 def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
-    """Return the greatest distance [m] of points to triangles (m, 3, 3), given samples on the triangles.
+    """Return the maximum distance [m] from points to triangles, shape (m, 3, 3), given samples on the triangles.
 
-    The nearest samples give upper bounds. Distances are computed exactly in the order of these bounds, until the next
-    bound is no greater than the distance found.
+    The nearest samples provide upper bounds. Exact distances are computed in descending order of these bounds until the
+    next bound does not exceed the maximum found so far.
     """
     from scipy.spatial import cKDTree
 
@@ -119,7 +124,11 @@ def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: N
 
 
 def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
-    """Return the distance [m] of each point to the nearest of its triangles, given as pairs; inf if it has none."""
+    """Return the distance [m] from each point to the nearest triangle that it is paired with.
+
+    ``rows`` and ``columns`` list the pairs of point and triangle indices. The distance is infinite for points without
+    any pair.
+    """
     import trimesh
 
     closest = trimesh.triangles.closest_point(triangles[columns], points[rows])
@@ -129,19 +138,25 @@ def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], c
 
 
 ENOUGH_FACES = 4096
-"""Triangles to which a mesh is simplified: the YCB banana (16,384) then decomposes equally well in 0.6 s, not 4.3 s."""
+"""Target number of triangles for simplified meshes.
+
+The YCB banana (16,384 triangles) then decomposes equally well in 0.6 s instead of 4.3 s.
+"""
 
 ALLOWED = 0.005
-"""Largest deviation of a simplified mesh, relative to its longest side: a tenth of the deviation of its hulls."""
+"""Maximum deviation of a simplified mesh relative to its longest side; convex parts deviate ten times as much."""
 
 SAMPLES = 20_000
-"""Points of the original surface on which the distance is measured."""
+"""Number of points on the original surface from which the deviation is measured."""
 
 
 def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tuple[Array, Faces, float]:
-    """Return a mesh simplified to about ``enough`` triangles, or more if needed, and its deviation [m].
+    """Simplify a mesh to about ``enough`` triangles, or more if necessary to preserve its surface.
 
-    The mesh is returned unchanged if it has no more triangles, or if no simplification is accurate enough.
+    The mesh is returned unchanged if it has at most ``enough`` triangles or if no simplification is accurate enough.
+
+    Returns:
+        The vertices, the faces, and the deviation from the original surface [m].
     """
     if len(faces) <= enough:
         return vertices, faces, 0.0

@@ -1,22 +1,22 @@
-"""Errors of meshes, profiles and outlines; does not import numpy, so that checks start quickly."""
+"""Errors for meshes, profiles and outlines. This module does not import numpy, so that checks start quickly."""
 
 from __future__ import annotations
 
 MAX_FACES = 2_000_000
-"""Largest number of triangles of a mesh; decomposing more takes many minutes, and no simulator needs them."""
+"""Maximum number of triangles in a mesh; decomposing more takes many minutes, and no simulator needs them."""
 
 MAX_BYTES = 256 * 2**20
-"""Largest mesh file [bytes]: two million triangles with textures fit; more takes minutes and all memory."""
+"""Maximum mesh file size [bytes]; two million triangles with textures fit, and larger files can exhaust memory."""
 
 SMALLEST, LARGEST = 0.001, 20.0
-"""Plausible extents of anything on, around or under a table [m]."""
+"""Range of plausible sizes [m] for objects on, around or under a table."""
 
 LEAST_VOLUME = 1e-10
-"""Smallest volume of a solid [m^3]: a tenth of a cubic millimeter."""
+"""Minimum volume of a solid [m^3]: a tenth of a cubic millimeter."""
 
 
 class MeshError(Exception):
-    """Error for an unusable mesh, with a diagnostic code, a message, and a hint."""
+    """Raised for an unusable mesh, with a diagnostic code, a message, and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -24,40 +24,40 @@ class MeshError(Exception):
 
 
 def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
-    """Return the error for a mesh whose longest side is ``size`` [m] at ``scale``, or None if the size is plausible."""
+    """Return an error if the longest side of a mesh, ``size`` [m] at ``scale``, is implausible, or None otherwise."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimeters = SMALLEST < size / 1000 < LARGEST
         hint = f"it looks like millimeters: `scale: {0.001 * scale:g}`" if millimeters else "set `scale`"
         return MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
     if size < SMALLEST:
-        hint = "set `scale`, the meters of one unit of the mesh"
+        hint = "set `scale` to the length of one mesh unit in meters"
         return MeshError("SF303", f"{shown}, less than a millimeter", hint)
     return None
 
 
 def not_closed(name: str, gaps: int) -> MeshError:
-    """Return the error for edges with a face on only one side."""
-    hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
-    return MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on one side only", hint)
+    """Return the error for a mesh that has edges with a face on only one side."""
+    hint = "close the mesh, or write `solid: hull` to use the volume of its convex hull"
+    return MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on only one side", hint)
 
 
 def no_volume(name: str) -> MeshError:
     """Return the error for a surface that encloses no volume."""
-    return MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
+    return MeshError("SF301", f"{name} encloses no volume", "add thickness, or write `solid: hull`")
 
 
 def flat() -> MeshError:
-    """Return the error for coplanar points, which have no hull."""
-    return MeshError("SF301", "the mesh is flat: its points lie in one plane", "give it thickness")
+    """Return the error for coplanar points, which have no convex hull."""
+    return MeshError("SF301", "the mesh is flat: all of its points are in one plane", "add thickness")
 
 
 def too_large(name: str, size: int) -> MeshError:
     """Return the error for a file that is too large."""
     most = MAX_BYTES // 2**20
-    return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; at most {most} are read", "decimate it first")
+    return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; the limit is {most} MiB", "decimate it first")
 
 
 def shape_crosses_itself(what: str) -> MeshError:
     """Return the error for a profile or an outline that is not a simple polygon."""
-    return MeshError("SF301", f"the {what} crosses itself or has no area", "list its corners in order around it")
+    return MeshError("SF301", f"the {what} crosses itself or has no area", "list the corners in order along it")

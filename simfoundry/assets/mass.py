@@ -1,4 +1,4 @@
-"""Volume, center of mass and inertia of solids of uniform density."""
+"""Compute the volume, center of mass and inertia of solids with uniform density."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SolidMoments:
-    """Volume moments of a solid with density 1.
+    """The volume moments of a solid with density 1.
 
-    ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the center of mass, shape (3, 3).
+    ``volume`` is in m^3. ``com`` is the center of mass [m], shape (3,), and ``inertia`` is the inertia tensor [m^5]
+    about the center of mass, shape (3, 3).
     """
 
     volume: float
@@ -23,41 +24,44 @@ class SolidMoments:
     inertia: Array
 
     def moved(self, rotation: Array, translation: Array) -> SolidMoments:
-        """Return the solid in a frame in which its own frame is rotated (3, 3) and translated (3,)."""
+        """Return the moments after a rotation, shape (3, 3), followed by a translation [m], shape (3,)."""
         return SolidMoments(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
 
 
 def _diagonal(xx: float, yy: float, zz: float) -> Array:
-    """Return a diagonal matrix; several times faster than numpy's function."""
+    """Return a diagonal 3x3 matrix; several times faster than ``numpy.diag``."""
     return np.array([[xx, 0.0, 0.0], [0.0, yy, 0.0], [0.0, 0.0, zz]])
 
 
 def box(size: Array) -> SolidMoments:
-    """A box of full extents ``size`` [m], centered."""
+    """Return the moments of a box with full extents ``size`` [m], centered at the origin."""
     x, y, z = (float(v) for v in size)
     volume = x * y * z
     return SolidMoments(volume, np.zeros(3), volume / 12 * _diagonal(y * y + z * z, x * x + z * z, x * x + y * y))
 
 
 def sphere(radius: float) -> SolidMoments:
-    """A sphere, centered."""
+    """Return the moments of a sphere centered at the origin."""
     volume = 4 / 3 * math.pi * radius**3
     moment = 0.4 * volume * radius**2
     return SolidMoments(volume, np.zeros(3), _diagonal(moment, moment, moment))
 
 
 def cylinder(radius: float, height: float) -> SolidMoments:
-    """A cylinder along z, centered."""
+    """Return the moments of a cylinder along z, centered at the origin."""
     volume = math.pi * radius**2 * height
     across = volume * (3 * radius**2 + height**2) / 12
     return SolidMoments(volume, np.zeros(3), _diagonal(across, across, volume * radius**2 / 2))
 
 
 def capsule(radius: float, height: float) -> SolidMoments:
-    """Return a capsule along z, centered; ``height`` is that of the cylindrical part."""
+    """Return the moments of a capsule along z, centered at the origin.
+
+    ``height`` [m] is the height of the cylindrical part.
+    """
     tube = cylinder(radius, height)
     caps = 4 / 3 * math.pi * radius**3
-    # Two half spheres; the center of mass of each lies 3/8 of the radius above its disk.
+    # Two hemispheres; the center of mass of each is 3/8 of the radius above its flat face.
     across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
     return SolidMoments(
         tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
@@ -65,15 +69,15 @@ def capsule(radius: float, height: float) -> SolidMoments:
 
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Gauss-Legendre nodes and weights on [-1, 1]: with three, polynomials up to degree 5 are integrated exactly."""
+"""Gauss-Legendre nodes and weights on [-1, 1]; three nodes integrate polynomials up to degree 5 exactly."""
 
 
 def revolution(profile: Array) -> SolidMoments:
-    """Return the solid of revolution of a closed polygon of (radius, height) [m], shape (n, 2), about z.
+    """Return the moments of the solid obtained by rotating a closed polygon about z.
 
-    By the theorem of Pappus and Guldin, the volume is 2 pi times the integral of the radius over the polygon; the
-    moments are integrals of the same kind. Along an edge, the integrands are polynomials of at most degree 4, so the
-    sum over the edges is exact.
+    The polygon consists of (radius, height) pairs [m], shape (n, 2). By the theorem of Pappus and Guldin, the volume is
+    2 pi times the integral of the radius over the polygon; the other moments are similar integrals. Along an edge, the
+    integrands are polynomials of degree 4 or less, so the sum over the edges is exact.
     """
     following = np.roll(profile, -1, axis=0)
     share = (_NODES[:, None] + 1) / 2  # position along each edge, shape (3, 1)
@@ -93,8 +97,11 @@ def revolution(profile: Array) -> SolidMoments:
 
 
 def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
-    """Return the solid within a closed surface, by signed tetrahedra; its volume is negative if faces are inward."""
-    origin = vertices.mean(axis=0)  # a near apex of the tetrahedra reduces rounding errors
+    """Return the moments of the solid inside a closed surface, summed over signed tetrahedra.
+
+    The volume is negative if the faces point inward.
+    """
+    origin = vertices.mean(axis=0)  # placing the common apex of the tetrahedra nearby reduces rounding errors
     a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
@@ -108,8 +115,11 @@ def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
 
 
 def combine(parts: list[tuple[float, SolidMoments]]) -> tuple[float, Array, Array]:
-    """Return the combined mass, center of mass, and inertia about it of parts with densities [kg/m^3]."""
-    if len(parts) == 1:  # keeps all digits of its center of mass
+    """Return the mass [kg], center of mass [m], and inertia [kg m^2] of a body.
+
+    ``parts`` lists the density [kg/m^3] and the moments of each part. The inertia is about the center of mass.
+    """
+    if len(parts) == 1:  # preserves all digits of the center of mass
         density, solid = parts[0]
         return density * solid.volume, solid.com, density * solid.inertia
     mass = math.fsum(d * s.volume for d, s in parts)  # the result of `sum` depends on the Python version

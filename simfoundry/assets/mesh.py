@@ -1,4 +1,4 @@
-"""Read mesh files: triangles, colors and textures, validated before further computation."""
+"""Read and validate the triangles, colors and textures in mesh files."""
 
 from __future__ import annotations
 
@@ -20,19 +20,25 @@ from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausibl
 Array = NDArray[np.float64]
 
 MAX_ENCODED = 4
-"""Number of PNG textures that are cached, with up to 200 MB of pixels each: links of one model share a few, and
-compressing one takes half a second."""
+"""Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
+
+The links of a model usually share a few textures, and encoding a texture as PNG takes half a second.
+"""
 
 MAX_PIXELS = 8192**2
-"""Largest number of texture pixels; more take a GiB and a minute, and no simulator renders them."""
+"""Maximum number of pixels in a texture; larger textures take a GiB and a minute, and no simulator renders them."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """One geometry of a mesh file.
+    """A single geometry from a mesh file.
 
-    ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3); ``uv`` shape (n, 2), v up, or None; ``texture`` a PNG
-    or None; ``rgba`` in [0, 1], or None if the file has no color.
+    Attributes:
+        vertices: Vertex positions [m], shape (n, 3).
+        faces: Vertex indices of the triangles (int32), shape (m, 3).
+        uv: Texture coordinates with v up, shape (n, 2), or None.
+        texture: Texture image as PNG bytes, or None.
+        rgba: Color in [0, 1], or None if the file does not specify a color.
     """
 
     vertices: Array
@@ -43,9 +49,10 @@ class MeshPart:
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
-    """Return the geometries of a mesh file in meters, z up (glTF files, which are y up by their standard, are rotated).
+    """Return the geometries in a mesh file, in meters and with z up.
 
-    Raises :class:`MeshError` for files without usable triangles or of an implausible size.
+    glTF files are rotated because their standard requires y up. Raises :class:`MeshError` if the file has no usable
+    triangles or its size is implausible.
     """
     parts = read_parts(path, scale)
     wrong = implausible_size(path.name, extent(parts), scale)
@@ -55,14 +62,14 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
 
 
 def extent(parts: tuple[MeshPart, ...]) -> float:
-    """Return the longest side of the bounds of a mesh [m]."""
+    """Return the longest side of a mesh's bounding box [m]."""
     return float(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0).max())
 
 
 def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
-    """Return the geometries of a mesh file of any size; see :func:`read_mesh`.
+    """Return the geometries in a mesh file like :func:`read_mesh`, but without checking the size for plausibility.
 
-    ``scale`` may differ along the axes of the file, and mirror them; faces remain outward.
+    ``scale`` may be non-uniform or negative along the file's axes; faces still point outward.
     """
     import trimesh
 
@@ -73,13 +80,13 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
             meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except Exception as error:  # trimesh does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
-        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
+        raise MeshError("SF301", f"{path.name} could not be read as a mesh: {reason}", "export it again") from None
     if not meshes:
         raise MeshError("SF301", f"{path.name} has no triangles", "export the surface, not only points or curves")
     if sum(len(m.faces) for m in meshes) > MAX_FACES:
         raise MeshError("SF301", f"{path.name} has more than {MAX_FACES} triangles", "decimate it first")
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
-        raise MeshError("SF301", f"{path.name} has triangles whose corners do not exist", "export it again")
+        raise MeshError("SF301", f"{path.name} has triangles that refer to nonexistent vertices", "export it again")
     parts = tuple(_part(path, m, scale) for m in meshes)
     _check_numbers(path.name, np.concatenate([p.vertices for p in parts]))
     return parts
@@ -87,26 +94,29 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
 
 def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> MeshPart:
     y_up = path.suffix.lower() in (".glb", ".gltf")
-    used, faces = np.unique(mesh.faces, return_inverse=True)  # points without faces do not belong to the surface
+    used, faces = np.unique(mesh.faces, return_inverse=True)  # vertices without faces are not part of the surface
     if np.prod(np.broadcast_to(scale, 3)) < 0:
         faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
     vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(path.name, mesh)
-    if rgba is not None and y_up:  # glTF colors are linear, those of other formats sRGB
+    if rgba is not None and y_up:  # glTF colors are linear; colors in other formats are sRGB
         rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
     return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
 
 
 def srgb_of_linear(linear: float) -> float:
-    """Return the sRGB value of a linear color value, both in [0, 1] (IEC 61966-2-1)."""
+    """Convert a linear color value to sRGB, both in [0, 1] (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
 def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
-    """Return texture coordinates, PNG and color of a trimesh mesh; the texture is multiplied by the color."""
+    """Return the texture coordinates, the texture as PNG, and the color of a trimesh mesh.
+
+    If a mesh has both a texture and a color, the color is a factor for the texture.
+    """
     visual = mesh.visual
     if visual.kind == "texture":
         material, uv = visual.material, getattr(visual, "uv", None)
@@ -130,11 +140,11 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
 
 
 def texture_png(name: str, image: Any) -> bytes:
-    """Return an image as a PNG; raises :class:`MeshError` if it is too large."""
+    """Encode an image as PNG; raise :class:`MeshError` if the image is too large."""
     width, height = image.size
     if width * height > MAX_PIXELS:
         most = math.isqrt(MAX_PIXELS)
-        message = f"{name} has a texture of {width} x {height} pixels; at most {most} x {most} are read"
+        message = f"{name} has a texture of {width} x {height} pixels; the limit is {most} x {most}"
         raise MeshError("SF301", message, "make the texture smaller")
     image = image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB")
     return _encoded(image.mode, image.size, image.tobytes())
@@ -152,18 +162,22 @@ def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
 def _check_numbers(name: str, vertices: Array) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
+        raise MeshError("SF301", f"{name} has {bad} vertices with non-finite coordinates", "repair or export it again")
 
 
 def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
-    """Return the vertices [m], shape (n, 3), and faces, shape (m, 3), of all pieces of a mesh."""
+    """Concatenate the geometries of a mesh file.
+
+    Returns:
+        The vertices [m], shape (n, 3), and the faces, shape (m, 3), of all geometries.
+    """
     offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
     faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)])
     return np.concatenate([p.vertices for p in parts]), faces.astype(np.int32)
 
 
 def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
-    """Join vertices at the same place (texture seams split them), and drop what then is no triangle or on none."""
+    """Merge coincident vertices (texture seams duplicate them) and remove degenerate triangles and unused vertices."""
     tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -174,7 +188,7 @@ def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.i
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:
-    """Return the count of directed edges of welded faces without a partner; 0 for a closed surface."""
+    """Return the number of directed edges in welded faces without an opposite edge; 0 for a closed surface."""
     if not len(faces):
         return 0
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
@@ -189,31 +203,31 @@ def open_edges(faces: NDArray[np.int32]) -> int:
 
 
 MAX_POINTS = 3 * MAX_FACES
-"""Three to a triangle are the most that it needs."""
+"""Maximum number of points in a mesh; each triangle needs at most three."""
 
 STL_HEAD, STL_FACE = 84, 50
-"""Bytes of a binary STL before its triangles, and of each (the format has 80 of comment, 4 of count, 50 a facet)."""
+"""Sizes [bytes] of the header of a binary STL (an 80-byte comment and a 4-byte count) and of each triangle."""
 
 PLY_HEAD = 100_000
-"""Largest header of a PLY [bytes]: splats with all harmonics need 2 kB."""
+"""Maximum size of a PLY header [bytes]; splats with all spherical harmonics need 2 kB."""
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\S+)", re.MULTILINE)
 GLB_TRIANGLES = 4
-"""Mode of a primitive that is a list of triangles, which is the default (glTF 2.0, 3.7.2.1)."""
+"""glTF primitive mode for triangle lists, which is also the default (glTF 2.0, section 3.7.2.1)."""
 
 
 def check_counts(path: Path) -> None:
-    """Raise :class:`MeshError` for a mesh file with too many bytes, triangles or points.
+    """Raise :class:`MeshError` if a mesh file has too many bytes, triangles or points.
 
-    Damaged files are accepted here; the mesh reader reports them.
+    Corrupt files pass this check; the mesh reader reports them.
     """
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise too_large(path.name, size)
     triangles, points = _COUNTERS.get(path.suffix.lower(), _unknown)(path)
     if triangles > MAX_FACES:
-        raise MeshError("SF301", f"{path.name} has {triangles} triangles; at most {MAX_FACES} are read", "decimate it")
+        raise MeshError("SF301", f"{path.name} has {triangles} triangles; the limit is {MAX_FACES}", "decimate it")
     if points > MAX_POINTS:
-        raise MeshError("SF301", f"{path.name} has {points} points; at most {MAX_POINTS} are read", "decimate it")
+        raise MeshError("SF301", f"{path.name} has {points} points; the limit is {MAX_POINTS}", "decimate it")
 
 
 def _unknown(_path: Path) -> tuple[int, int]:
@@ -234,7 +248,7 @@ def _obj(path: Path) -> tuple[int, int]:
 
 
 def _lines(path: Path, start: bytes) -> int:
-    """Return the number of lines with a prefix, except lines that cross a block boundary."""
+    """Count the lines that begin with ``start``; lines whose beginning crosses a block boundary are missed."""
     count = 0
     with path.open("rb") as stream:
         while block := stream.read(2**24):
@@ -250,7 +264,7 @@ def _ply(path: Path) -> tuple[int, int]:
 
 
 def _glb(path: Path) -> tuple[int, int]:
-    """Return the numbers of triangles and points of all primitives, once for each node that shows them."""
+    """Return the total numbers of triangles and points; primitives count once for each node that uses them."""
     try:
         with path.open("rb") as stream:
             head = stream.read(20)

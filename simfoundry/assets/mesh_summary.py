@@ -1,6 +1,7 @@
 """Summaries of mesh files for checks: bounds, volume, gaps and hull, computed once and cached.
 
-A known file is only hashed, so that a second check imports neither numpy nor a mesh reader.
+A file that is already in the cache only needs to be hashed, so a repeated check imports neither numpy nor a mesh
+reader.
 """
 
 from __future__ import annotations
@@ -27,26 +28,32 @@ if TYPE_CHECKING:
     from simfoundry.assets.mass import SolidMoments
 
 NEARLY_CONVEX = 0.90
-"""Share of its hull that a mesh must fill to collide as its hull or as a primitive."""
+"""Minimum fraction of its convex hull's volume that a mesh must fill to count as nearly convex."""
 
 VERSION = "mesh facts 2"
-"""Version of the measurements; part of the cache key."""
+"""Version of the measurements, which is part of the cache key."""
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
-"""Moments of a solid: x, y and z of its center of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+"""Moments of a solid: its center of mass (x, y, z) followed by its inertia (xx, yy, zz, xy, xz, yz)."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """Measurements of a mesh in the units of its file, z up.
+    """Measurements of a mesh in file units with z up.
 
-    ``size`` is the longest side of its bounds; ``triangles`` is their number, ``gaps`` the number of edges with a face
-    on only one side; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at
-    most 64 corners and the triangles ``hull_faces``, or none if the mesh is flat. ``moments`` and ``hull_moments`` are
-    the centers of mass and the inertias about them, at density 1.
+    Attributes:
+        size: Longest side of the bounding box.
+        triangles: Number of triangles.
+        gaps: Number of edges with a face on only one side.
+        volume: Volume enclosed by the surface.
+        hull_volume: Volume of the convex hull.
+        hull: Corners of the convex hull, at most 64; empty if the mesh is flat.
+        hull_faces: Triangles of the convex hull.
+        moments: Center of mass and inertia about it at density 1.
+        hull_moments: Center of mass and inertia of the convex hull at density 1.
     """
 
     size: float
@@ -61,11 +68,11 @@ class MeshFacts:
 
     @property
     def is_nearly_convex(self) -> bool:
-        """Return True if the mesh certainly collides as its hull."""
+        """Return True if the mesh is closed and nearly convex, so that ``collision: auto`` never decomposes it."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> SolidMoments:
-        """Return the moments of the mesh, or of its hull, at a scale and density 1."""
+        """Return the moments of the scaled mesh, or of its scaled convex hull, at density 1."""
         import numpy as np
 
         from simfoundry.assets.mass import SolidMoments
@@ -76,9 +83,13 @@ class MeshFacts:
         return SolidMoments(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
-        """Return the error with which a body with these fields, scaled by ``scale``, cannot be lowered, or None.
+        """Return the error that lowering would report for a body that uses this mesh, or None.
 
-        If the inertia of the body is given, ``solid`` is `given`, and the mesh need not be closed.
+        Args:
+            name: Name of the mesh file for the message.
+            scale: Scale of the mesh [m per unit].
+            solid: The body's ``solid`` key, or `given` if its inertia is specified; the mesh then need not be closed.
+            collision: The body's ``collision`` key.
         """
         wrong = implausible_size(name, self.size * scale, scale)
         if wrong is None and solid == "exact":
@@ -92,7 +103,10 @@ class MeshFacts:
 
 
 def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
-    """Return the facts of a mesh file, from the cache if possible; raises :class:`MeshError` if it cannot be read."""
+    """Return the measurements of a mesh file, from the cache if possible.
+
+    Raises :class:`MeshError` if the file cannot be read.
+    """
     try:
         stat = path.stat()
     except OSError as error:
@@ -101,12 +115,16 @@ def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
 
 
 def _unreadable(path: Path, error: OSError) -> MeshError:
-    return MeshError("SF301", f"{path.name} cannot be read as a mesh: {error.strerror or error}", "make it readable")
+    reason = error.strerror or error
+    return MeshError("SF301", f"{path.name} could not be read as a mesh: {reason}", "make it readable")
 
 
 @lru_cache(maxsize=4096)
 def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
-    """Return the facts of a file with a size [bytes] and modification time [ns]; many objects share one mesh."""
+    """Return the measurements of a file, memoized because many objects often share a mesh.
+
+    ``version`` is the file's size [bytes] and modification time [ns].
+    """
     size, _ = version
     if size > MAX_BYTES:
         raise too_large(path.name, size)
@@ -123,7 +141,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
 
 
 def file_digest(path: Path) -> str:
-    """Return the digest of a file's bytes and of the suffix that determines its reader."""
+    """Return a digest of a file's content and of its suffix, which determines the reader."""
     import hashlib
 
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
@@ -134,7 +152,7 @@ def file_digest(path: Path) -> str:
 
 
 def _read(stored: bytes) -> MeshFacts | None:
-    """Return the facts in a cache entry; None if it is damaged and must be computed again."""
+    """Deserialize a cache entry; return None if it is corrupt and must be recomputed."""
     try:
         data = json.loads(stored)
         hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
@@ -147,7 +165,7 @@ def _read(stored: bytes) -> MeshFacts | None:
 
 
 def measure(path: Path) -> MeshFacts:
-    """Read a mesh file and measure it; raises :class:`MeshError` if it cannot be read."""
+    """Read a mesh file and measure it; raise :class:`MeshError` if it cannot be read."""
 
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
@@ -167,7 +185,7 @@ def measure(path: Path) -> MeshFacts:
         corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
         hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
     except MeshError:
-        pass  # coplanar points have no hull; the finding about the missing volume reports this
+        pass  # coplanar points have no hull, which is reported as a missing volume
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
     return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 

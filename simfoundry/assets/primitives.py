@@ -1,4 +1,4 @@
-"""Fit boxes, cylinders and spheres to convex hulls of nearly that shape; primitives are cheaper in every engine."""
+"""Fit boxes, cylinders and spheres to convex hulls; primitives are cheaper to simulate in every engine."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ Kind = Literal["box", "cylinder", "sphere"]
 KINDS: tuple[Kind, ...] = ("box", "cylinder", "sphere")
 
 DIRECTIONS = 2000
-"""Directions in which two convex bodies are compared; neighbors are 2.6 degrees apart."""
+"""Number of directions in which two convex bodies are compared; neighboring directions are 2.6 degrees apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Primitive:
-    """Solid that replaces a mesh, in the frame of the mesh.
+    """A primitive shape that replaces a mesh, expressed in the mesh frame.
 
-    ``size`` [m] are the full extents of a `box`, radius and height of a `cylinder` along its z, or the radius of a
-    `sphere`; ``rotation`` (3, 3) has its axes as columns, ``center`` [m] is its middle.
+    ``size`` [m] contains the full extents of a `box`, the radius and height of a `cylinder` along its z axis, or the
+    radius of a `sphere`. The columns of ``rotation``, shape (3, 3), are the axes of the primitive, and ``center`` [m]
+    is its center.
     """
 
     kind: Kind
@@ -31,7 +32,7 @@ class Primitive:
     center: Array
 
     def support(self, directions: Array) -> Array:
-        """Return the greatest coordinate [m] along each of n unit vectors, shape (n,)."""
+        """Return the value of the support function [m] for each of n unit vectors, shape (n,)."""
         local = directions @ self.rotation
         middle = directions @ self.center
         if self.kind == "box":
@@ -42,7 +43,7 @@ class Primitive:
         return np.asarray(middle + radius * np.hypot(local[:, 0], local[:, 1]) + height / 2 * np.abs(local[:, 2]))
 
     def corners(self, sides: int = 64) -> Array:
-        """Return points on its surface [m], shape (n, 3), whose hull approximates it, or for a box equals it."""
+        """Return surface points [m], shape (n, 3), whose convex hull approximates the primitive; exact for boxes."""
         if self.kind == "box":
             signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
             local = signs * self.size
@@ -56,15 +57,16 @@ class Primitive:
 
 
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
-    """Return the nearest primitive of each kind to the convex hull of points [m], shape (n, 3), up to ``within`` [m].
+    """Return the best-fitting primitive of each kind for the convex hull of points [m], shape (n, 3).
 
-    This is the Hausdorff distance: for convex bodies, the greatest difference of their support functions.
+    Primitives farther than ``within`` [m] from the hull are omitted. The metric is the Hausdorff distance, which for
+    convex bodies is the maximum difference between their support functions.
     """
     directions = _directions(DIRECTIONS)
     wanted = (corners @ directions.T).max(axis=0)
     nearest: dict[str, tuple[float, Primitive]] = {}
     for candidate in _candidates(corners):
-        # Also along the axes of the candidate, where boxes and cylinders have their faces.
+        # Also compare along the axes of the candidate, which are the face normals of boxes and cylinders.
         own = np.concatenate([candidate.rotation.T, -candidate.rotation.T])
         apart = max(
             float(np.abs(candidate.support(directions) - wanted).max()),
@@ -76,7 +78,7 @@ def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
 
 
 def _candidates(corners: Array) -> Iterator[Primitive]:
-    """Yield a sphere, and in each frame a box and three cylinders; their mean error is zero."""
+    """Yield a sphere, and a box and three cylinders for each candidate frame, sized for a mean error of zero."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     yield Primitive("sphere", (_mean_radius(corners - middle, _directions(200)),), np.eye(3), middle)
     for frame in _frames(corners):
@@ -84,7 +86,7 @@ def _candidates(corners: Array) -> Iterator[Primitive]:
         low, high = local.min(axis=0), local.max(axis=0)
         yield Primitive("box", tuple((high - low).tolist()), frame, frame @ ((low + high) / 2))
         for axis in range(3):
-            turned = frame[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]  # its z is the axis, and it stays right-handed
+            turned = frame[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]  # z is the axis; right-handed
             points = corners @ turned
             low, high = points.min(axis=0), points.max(axis=0)
             center = (low + high) / 2
@@ -94,7 +96,7 @@ def _candidates(corners: Array) -> Iterator[Primitive]:
 
 
 def _frames(corners: Array) -> list[Array]:
-    """Return right-handed frames for boxes and cylinders: of the mesh, of its principal axes, of its smallest box."""
+    """Return right-handed candidate frames: the mesh frame, its principal axes, and its minimum bounding box."""
     import trimesh
 
     _, _, rows = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)
@@ -103,13 +105,13 @@ def _frames(corners: Array) -> list[Array]:
 
 
 def _mean_radius(points: Array, directions: Array) -> float:
-    """Return the mean of the least and greatest extent from the origin [m], which minimizes the greatest error."""
+    """Return the mean of the minimum and maximum extent from the origin [m], which minimizes the maximum error."""
     reach = (points @ directions.T).max(axis=0)
     return float(reach.min() + reach.max()) / 2
 
 
 def _directions(count: int) -> Array:
-    """Return evenly distributed unit vectors, shape (count, 3): a Fibonacci lattice."""
+    """Return unit vectors evenly distributed on a Fibonacci lattice, shape (count, 3)."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + 5**0.5) * k

@@ -1,4 +1,4 @@
-"""Solids of a profile: rotated about z (lathes) or extruded along z (prisms), as a closed mesh and as convex parts."""
+"""Solids of revolution about z (lathes) and extrusions along z (prisms), as closed meshes and as convex parts."""
 
 from __future__ import annotations
 
@@ -20,34 +20,38 @@ Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
 SIDES = 48
-"""Sides of the visual mesh: between two of them the radius is 0.2 % too small. The mass is that of the exact body."""
+"""Number of sides of the visual mesh, whose radius is up to 0.2 % too small. The mass is that of the exact solid."""
 
 SECTORS = 16
-"""Sectors of a ring that is split into convex parts; they protrude into it by at most 2 % of its radius."""
+"""Number of sectors in a ring that is split into convex parts; they protrude inward by at most 2 % of its radius."""
 
 LEAST_SIDES, MOST_SIDES = 12, 24
-"""Sides of a part that reaches the axis; between two of them the radius is 3.4 % (12) or 0.9 % (24) too small."""
+"""Range for the number of sides of a part that reaches the axis.
+
+The radius is up to 3.4 % too small with 12 sides, and up to 0.9 % with 24.
+"""
 
 _SIDE_COUNTS = (*range(LEAST_SIDES, MOST_SIDES + 1), SECTORS)
 
 SAG = 0.0015
-"""Bands of the profile are joined while their hull stays within this distance of them [m]."""
+"""Maximum distance [m] of joined bands of a profile from their common convex hull."""
 
 MOST_CORNERS = 64
-"""Largest number of corners of a part that every engine supports; see :mod:`simfoundry.assets.convex`."""
+"""Maximum number of corners per part supported by every engine; see :mod:`simfoundry.assets.convex`."""
 
 
 def checked_profile(profile: Array) -> Array:
-    """Return a profile [m] of (radius, height), shape (n, 2), ordered from the top down along the outside.
+    """Validate a profile of (radius, height) pairs [m], shape (n, 2), and order it from the top down along the outside.
 
-    Raises :class:`MeshError` unless it starts and ends on the axis and crosses neither itself nor the axis.
+    Raises :class:`MeshError` unless the profile starts and ends on the axis and crosses neither itself nor the axis.
     """
     from shapely.geometry import Polygon
 
     if profile[0, 0] != 0 or profile[-1, 0] != 0:
-        raise MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
+        raise MeshError("SF301", "a profile must start and end on the axis", "begin and end it with radius 0")
     if (profile[1:-1, 0] <= 0).any():
-        raise MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
+        hint = "give all corners in between a positive radius"
+        raise MeshError("SF301", "a profile may touch the axis only at its ends", hint)
     polygon = Polygon(profile)
     if not polygon.is_valid or polygon.area < 1e-8:
         raise shape_crosses_itself("profile")
@@ -55,7 +59,7 @@ def checked_profile(profile: Array) -> Array:
 
 
 def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
-    """Return vertices and outward faces of the closed body of a checked profile."""
+    """Return the vertices and outward-facing triangles of the closed solid of revolution for a validated profile."""
     angle = np.arange(sides) * (2 * math.pi / sides)
     around = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [np.column_stack([radius * around, np.full(sides, height)]) for radius, height in profile[1:-1]]
@@ -64,9 +68,9 @@ def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
 
 
 def ring_faces(rings: int, sides: int) -> Faces:
-    """Return outward faces over an apex, ``rings`` of ``sides`` vertices from the top down, and a second apex.
+    """Return outward-facing triangles for a top apex, ``rings`` rings of ``sides`` vertices each, and a bottom apex.
 
-    The rings run counter-clockwise seen from above; the vertices are numbered in this order.
+    Vertices are numbered in this order, from the top down. The rings run counterclockwise when seen from above.
     """
     here = np.arange(sides)
     after = (here + 1) % sides
@@ -81,19 +85,19 @@ def ring_faces(rings: int, sides: int) -> Faces:
 
 
 def lathe_parts(profile: Array) -> list[Array]:
-    """Return the corner points of convex parts that form the body of a checked profile.
+    """Return the corner points of convex parts that form the solid of revolution for a validated profile.
 
-    The profile is cut into bands at the heights of its corners; neighboring bands are joined while they stay nearly
-    convex. A band that reaches the axis is one part, a ring is cut into sectors.
+    The profile is cut into bands at the heights of its corners; neighboring bands are joined as long as they stay
+    nearly convex. A band that reaches the axis becomes one part, and a ring is cut into sectors.
     """
     return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
 
 
 def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
-    """Return the greatest distance [m] of the hulls of :func:`lathe_parts` from the body of revolution.
+    """Return the maximum distance [m] between the hulls from :func:`lathe_parts` and the solid of revolution.
 
-    It is sampled, and accurate to a few percent: at the corners, edges and faces of the hulls where they protrude from
-    the body, and on the surface of the body where it protrudes from all hulls.
+    The distance is sampled and accurate to a few percent. Samples are taken at the corners, edges and faces of the
+    hulls, which can protrude from the solid, and on the surface of the solid, which can protrude from all hulls.
     """
     from shapely import Polygon, distance, points
 
@@ -104,11 +108,11 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
         samples = np.concatenate([corners, (a + b) / 2, (b + c) / 2, (a + c) / 2, (a + b + c) / 3])
         radius = np.hypot(samples[:, 0], samples[:, 1])
         proud = max(proud, float(distance(points(radius, samples[:, 2]), body).max()))
-    # The middle of a side is at 180 deg / n; the corners that a simplified part lost can be at any angle.
+    # The middle of a side is at 180 deg / n; corners that were lost by simplifying a part can be at any angle.
     angles = np.array([*(math.pi / n for n in _SIDE_COUNTS), *np.linspace(0, 2 * math.pi, 96, endpoint=False)])
     edges = np.concatenate([a + np.linspace(0, 1, 9)[:, None] * (b - a) for a, b in pairwise(profile)])
     surface = _rotated(edges, angles)
-    # Points that are no farther outside of some part than `proud` do not change the result: nearly all of them.
+    # Points within `proud` of any part, which are nearly all of them, do not change the result.
     planes = [face_planes(corners, faces) for corners, faces in parts]
     for (corners, _), (normal, offset) in zip(parts, planes, strict=True):
         near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
@@ -137,7 +141,7 @@ def _bands(profile: Array) -> list[Polygon]:
 
 
 def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
-    """Yield pairs of bands that touch along a line and are nearly convex together, with their union."""
+    """Yield the indices and the union of each pair of bands that share an edge and can be merged."""
     for first, second in combinations(range(len(bands)), 2):
         if bands[first].intersection(bands[second]).length > 1e-6:
             union = bands[first].union(bands[second])
@@ -151,7 +155,7 @@ def _polygons(shape: Any) -> list[Polygon]:
 
 
 def _fits(union: Any) -> bool:
-    """Return True if the union is one piece, nearly convex, and remains so when rotated about the axis."""
+    """Return True if the union is a single nearly convex piece and remains so when rotated about the axis."""
     if union.geom_type != "Polygon" or not _nearly_convex(union):
         return False
     corners = np.array(union.exterior.coords)[:-1]
@@ -159,7 +163,7 @@ def _fits(union: Any) -> bool:
 
 
 def _convex_of_revolution(corners: Array) -> bool:
-    """Return True if a band that reaches the axis is nearly convex when it is joined with its mirror image."""
+    """Return True if a band that reaches the axis is nearly convex when joined with its mirror image."""
     from shapely.geometry import Polygon
 
     mirrored = Polygon(corners).union(Polygon(corners * [-1.0, 1.0]))
@@ -171,9 +175,9 @@ def _nearly_convex(polygon: Polygon) -> bool:
 
 
 def _turned(band: Array) -> list[Array]:
-    """Return the convex parts of one band, each as its corner points [m], shape (k, 3)."""
+    """Return the corner points [m] of each convex part of a band, shape (k, 3)."""
     if (band[:, 0] < 1e-9).any() and _convex_of_revolution(band):
-        on_axis = int((band[:, 0] < 1e-9).sum())  # each of these stays one corner
+        on_axis = int((band[:, 0] < 1e-9).sum())  # rotation does not multiply these corners
         sides = max(LEAST_SIDES, min(MOST_SIDES, (MOST_CORNERS - on_axis) // max(1, len(band) - on_axis)))
         angles = np.arange(sides, dtype=np.float64) * (2 * math.pi / sides)
         return [_swept(band, angles)]
@@ -186,15 +190,15 @@ def _swept(band: Array, angles: Array) -> Array:
 
 
 def _rotated(profile: Array, angles: Array) -> Array:
-    """Return the points of a profile at k angles [rad] about the axis, shape (k n, 3)."""
+    """Return the n points of a profile rotated by k angles [rad] about the axis, shape (k n, 3)."""
     x, y = np.cos(angles)[:, None] * profile[:, 0], np.sin(angles)[:, None] * profile[:, 0]
     return np.stack([x, y, np.broadcast_to(profile[:, 1], x.shape)], axis=-1).reshape(-1, 3)
 
 
 def checked_outline(outline: Array) -> Array:
-    """Return an outline [m], shape (n, 2), counter-clockwise and without superfluous corners.
+    """Validate an outline [m], shape (n, 2), make it counterclockwise, and remove redundant corners.
 
-    Raises :class:`MeshError` if it crosses itself or has no area.
+    Raises :class:`MeshError` if the outline crosses itself or has no area.
     """
     from shapely.geometry import Polygon
 
@@ -205,7 +209,7 @@ def checked_outline(outline: Array) -> Array:
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
-    """Return vertices and faces of the closed prism over a counter-clockwise outline, centerd in height."""
+    """Return the vertices and faces of a closed prism over a counterclockwise outline, vertically centered at zero."""
     n = len(outline)
     low = np.column_stack([outline, np.full(n, -height / 2)])
     high = np.column_stack([outline, np.full(n, height / 2)])
@@ -217,9 +221,10 @@ def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
 
 
 def convex_outlines(outline: Array) -> list[Array]:
-    """Return convex polygons that tile a counter-clockwise outline: triangles, merged as long as they stay convex.
+    """Partition a counterclockwise outline into convex polygons.
 
-    One pass over the edges suffices (Hertel and Mehlhorn 1983).
+    The outline is triangulated, and neighbors are merged as long as the result stays convex. A single pass over the
+    edges is sufficient (Hertel and Mehlhorn 1983).
     """
     polygons = {k: [int(v) for v in t] for k, t in enumerate(_triangles(outline))}
     owner = {(p[i - 1], p[i]): k for k, p in polygons.items() for i in range(3)}
@@ -235,7 +240,7 @@ def convex_outlines(outline: Array) -> list[Array]:
 
 
 def _triangles(outline: Array) -> Faces:
-    """Return counter-clockwise triangles that tile an outline, shape (n - 2, 3)."""
+    """Triangulate an outline into counterclockwise triangles, shape (n - 2, 3)."""
     import mapbox_earcut
 
     rings = np.array([len(outline)], dtype=np.uint32)
@@ -248,7 +253,7 @@ def _triangles(outline: Array) -> Faces:
 
 
 def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
-    """Return the union of two counter-clockwise polygons that share the edge from ``start`` to ``end`` in ``a``."""
+    """Return the union of two counterclockwise polygons that share an edge, from ``start`` to ``end`` in ``a``."""
     i, j = a.index(end), b.index(start)
     around_a = a[i:] + a[:i]  # from the end of the edge to its start
     around_b = b[j:] + b[:j]  # from the start of the edge to its end
@@ -256,7 +261,7 @@ def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
 
 
 def _without_straights(points: Array) -> Array:
-    """Return a polygon without repeated corners and corners on a straight line, which would give flat triangles."""
+    """Remove repeated and collinear corners from a polygon; they would produce degenerate triangles."""
     corners = [p for k, p in enumerate(points) if not np.array_equal(p, points[k - 1])]
     k = 0
     while k < len(corners) and len(corners) > 3:
@@ -276,5 +281,5 @@ def _is_convex(points: Array) -> bool:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the z component of the cross products of plane vectors, shape (n, 2)."""
+    """Return the z components, shape (n,), of the cross products of 2D vectors, shape (n, 2)."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -1,7 +1,7 @@
-"""Read 3D Gaussian splats from PLY files of trainers, and convert the raw parameters to physical values.
+"""Read 3D Gaussian splats from the PLY files that trainers write, and convert raw parameters to physical values.
 
-The file contains raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
-function, scales before the exponential, quaternions of any length, and color as spherical harmonics, channel by
+The files contain raw training parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the
+logistic function, scales before the exponential, unnormalized quaternions, and color as spherical harmonics grouped by
 channel.
 """
 
@@ -18,20 +18,24 @@ from numpy.typing import NDArray
 from simfoundry.assets.errors import MeshError
 
 MAX_GAUSSIANS = 5_000_000
-"""Largest number of Gaussians, which take 250 bytes each in memory; a room has one million."""
+"""Maximum number of Gaussians in a splat; each takes 250 bytes in memory, and a room has about one million."""
 
-EXPORT = "export it again from the trainer, as PLY"
+EXPORT = "export it again from the trainer as a PLY file"
 
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Gaussians:
-    """Splat of n Gaussians, single precision, in the axes of its file.
+    """A splat of n Gaussians in single precision, expressed in the axes of its file.
 
-    ``positions`` [m], shape (n, 3); ``scales`` [m] standard deviations along their own axes, (n, 3); ``rotations`` unit
-    wxyz, (n, 4); ``opacities`` in [0, 1], (n,); ``harmonics`` coefficients of red, green and blue by order, shape
-    (n, (degree + 1)^2, 3).
+    Attributes:
+        positions: Centers [m], shape (n, 3).
+        scales: Standard deviations along each Gaussian's own axes [m], shape (n, 3).
+        rotations: Unit quaternions (wxyz), shape (n, 4).
+        opacities: Opacities in [0, 1], shape (n,).
+        harmonics: Spherical harmonics coefficients for red, green and blue in ascending order, shape
+            (n, (degree + 1)^2, 3).
     """
 
     positions: Array
@@ -42,19 +46,20 @@ class Gaussians:
 
     @property
     def degree(self) -> int:
-        """Return the highest degree of the spherical harmonics."""
+        """Return the maximum degree of the spherical harmonics."""
         return math.isqrt(self.harmonics.shape[1]) - 1
 
 
 def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
-    """Return the Gaussians of a PLY file, in meters; raises :class:`MeshError` for a file without any."""
+    """Read the Gaussians in a PLY file, in meters; raise :class:`MeshError` if it is not a usable splat."""
     raw = _vertices(path)
     names = raw.dtype.names or ()
     missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]
     if missing:
-        raise MeshError("SF301", f"{path.name} is no Gaussian splat: it has no `{missing[0]}`", EXPORT)
+        raise MeshError("SF301", f"{path.name} is not a Gaussian splat: the property `{missing[0]}` is missing", EXPORT)
     if not 0 < len(raw) <= MAX_GAUSSIANS:
-        raise MeshError("SF301", f"{path.name} has {len(raw)} Gaussians; 1 to {MAX_GAUSSIANS} are read", EXPORT)
+        message = f"{path.name} has {len(raw)} Gaussians; it must have 1 to {MAX_GAUSSIANS}"
+        raise MeshError("SF301", message, EXPORT)
     rotations = _columns(raw, _ROTATION)
     lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
     turned = lengths != 0
@@ -68,7 +73,7 @@ def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
         )
     for values in (found.positions, found.scales, found.rotations, found.opacities, found.harmonics):
         if not np.isfinite(values).all():
-            raise MeshError("SF301", f"{path.name} has Gaussians that are not numbers", EXPORT)
+            raise MeshError("SF301", f"{path.name} has Gaussians with non-finite values", EXPORT)
     return found
 
 
@@ -77,11 +82,11 @@ _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _RESTS = (0, 9, 24, 45)
-"""Numbers of coefficients beyond the first of each channel, for degrees 0 to 3."""
+"""Total number of coefficients after the first of each channel, for degrees 0 to 3."""
 
 
 def _vertices(path: Path) -> Any:
-    """Return the vertex element of a PLY as a structured array."""
+    """Return the vertex element of a PLY file as a structured array."""
     import trimesh
 
     try:
@@ -89,7 +94,7 @@ def _vertices(path: Path) -> Any:
         return np.asarray(cloud.metadata["_ply_raw"]["vertex"]["data"])
     except Exception as error:  # trimesh does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
-        raise MeshError("SF301", f"{path.name} cannot be read as a splat: {reason}", EXPORT) from None
+        raise MeshError("SF301", f"{path.name} could not be read as a splat: {reason}", EXPORT) from None
 
 
 def _columns(raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
@@ -97,11 +102,14 @@ def _columns(raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def _harmonics(path: Path, raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return coefficients by order, (n, k, 3); a file has the first of each channel, then the others by channel."""
+    """Return spherical harmonics coefficients in ascending order, shape (n, k, 3).
+
+    The file contains the first coefficient of each channel, followed by the remaining coefficients channel by channel.
+    """
     rest = sum(1 for name in names if name.startswith("f_rest_"))
     if rest not in _RESTS or any(f"f_rest_{k}" not in names for k in range(rest)):
         known = ", ".join(map(str, _RESTS))
-        raise MeshError("SF301", f"{path.name} has {rest} of `f_rest`; a splat has one of {known}", EXPORT)
+        raise MeshError("SF301", f"{path.name} has {rest} `f_rest` properties; a splat must have {known}", EXPORT)
     first = _columns(raw, _DC)[:, None, :]
     if not rest:
         return first

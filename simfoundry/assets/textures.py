@@ -1,4 +1,7 @@
-"""Find faulty images of mesh files; does not import numpy, so that checks start quickly."""
+"""Find missing or unreadable textures of mesh files.
+
+This module does not import numpy, so that checks start quickly.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.scene import SceneSpec
 
 MAX_HEAD = 16 * 2**20
-"""Bytes of a mesh or material file that are searched for names; those of an OBJ come before its vertices."""
+"""Number of bytes at the start of a mesh or material file to search for names; in an OBJ, they precede the vertices."""
 
 _MATERIAL_FILE = re.compile(rb"^\s*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
 _COLOR_MAP = re.compile(rb"^\s*map_Kd[ \t]+(?:-\S+(?:[ \t]+[-+.\d]+)*[ \t]+)*(.+?)\s*$", re.MULTILINE)
@@ -25,7 +28,7 @@ _DAE_PICTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<")
 
 
 def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the path and the error of each image of a document's visual meshes that cannot be used."""
+    """Yield the document path and an error message for each unusable texture of a document's visual meshes."""
     for place, reference in _meshes(spec):
         for fault in texture_faults(loaded.file(reference), loaded.root):
             yield place, fault
@@ -48,9 +51,9 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 
 
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
-    """Return the errors of the images that a mesh file refers to, one sentence each; empty if there are none.
+    """Return an error message for each unusable texture of a mesh file; empty if there are none.
 
-    An image that is missing, unreadable, or outside the folder ``root`` leaves its surface untextured.
+    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; the surface is then untextured.
     """
     try:
         return list(dict.fromkeys(_faults(path, root)))
@@ -64,17 +67,17 @@ def _faults(path: Path, root: Path | None) -> Iterator[str]:
             continue
         plain = unquote(name.removeprefix("file://")).replace("\\", "/")
         file = owner.parent / plain
-        message = f"{owner.name} names the texture {name}"
+        message = f"{owner.name} refers to the texture {name}"
         if Path(plain).is_absolute() or (root is not None and not file.resolve().is_relative_to(root.resolve())):
-            yield f"{message}, which lies outside of the project"
+            yield f"{message}, which is outside the project"
         elif not file.is_file():
             yield f"{message}, which does not exist"
         elif not _is_picture(file):
-            yield f"{message}, which is no picture that can be read"
+            yield f"{message}, which is not a readable image"
 
 
 def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
-    """Yield each image name with the file that refers to it."""
+    """Yield each texture name, or the name of a missing material file, together with the file that refers to it."""
     match path.suffix.lower():
         case ".obj":
             for found in _MATERIAL_FILE.findall(_head(path)):
@@ -82,10 +85,10 @@ def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
                 if material.is_file():
                     yield from ((material, _text(name)) for name in _COLOR_MAP.findall(_head(material)))
                 else:
-                    yield path, _text(found)  # which contains the names of all images
+                    yield path, _text(found)  # the missing material file would list the textures
         case ".dae":
             names = map(_text, _DAE_PICTURE.findall(_head(path)))
-            yield from ((path, name) for name in names if "." in name)  # others are ids of surfaces
+            yield from ((path, name) for name in names if "." in name)  # names without a suffix are surface ids
         case ".gltf" | ".glb":
             images = _gltf(path).get("images", [])
             uris = [image["uri"] for image in images if isinstance(image, dict) and isinstance(image.get("uri"), str)]

@@ -1,4 +1,4 @@
-"""Backends: each one compiles a lowered scene into the files of one format, has its own folder and is registered
+"""Backends, which compile a lowered scene into the files of one format. Each has its own folder and is registered
 here."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BACKENDS: Registry[Backend] = Registry(
 
 
 def features_of(name: str) -> Cells:
-    """Return the fidelity of each feature in the backend ``name``."""
+    """Return the fidelity of each feature for the backend ``name``."""
     return {**BACKENDS.load(name).features, "collision_shape": SIMPLIFIED_COLLIDERS}
 
 

@@ -1,4 +1,4 @@
-"""Output of a backend: the files of one target, the losses of the compile, and number formatting for text files."""
+"""Backend output: the files for one target, the compilation losses, and number formatting for text files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simfoundry.runtime.files import staged, write_file
 
 @dataclass(frozen=True)
 class Artifact:
-    """The files of one target by relative POSIX path, its entry file, and the losses of the compile."""
+    """The output for one target: its files by relative POSIX path, its entry file, and the compilation losses."""
 
     target: str
     entry: str
@@ -33,14 +33,14 @@ class Artifact:
         return json_text({"target": self.target, "entry": self.entry, "files": hashes})
 
     def write(self, folder: Path) -> None:
-        """Write all files below ``folder`` and replace it atomically; an interrupted write leaves the old folder."""
+        """Write all files to ``folder``, replacing it atomically; an interrupted write leaves the old folder intact."""
         with staged(folder) as staging:
             for path, data in {**self.files, "manifest.json": self.manifest}.items():
                 write_file(staging / path, data)
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """Return a JSON file with one line per key, and one line per key of each nested mapping."""
+    """Format data as a JSON file with one line per key, for the top-level mapping and the mappings directly in it."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
@@ -56,7 +56,7 @@ json_string: Callable[[str], str] = json.encoder.encode_basestring
 
 
 def json_line(value: object) -> str:
-    """Return plain data as JSON on one line."""
+    """Format plain data as a single line of JSON."""
     return "".join(_chunks(value, 0))
 
 
@@ -66,9 +66,9 @@ _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  
 """The encoder that ``json.JSONEncoder(ensure_ascii=False)`` would construct for each call; reusing it is faster."""
 
 
-@lru_cache(maxsize=16384)  # a scene has few distinct numbers, and every target writes all of them
+@lru_cache(maxsize=16384)  # a scene contains few distinct numbers, and every target writes the same ones
 def number(value: float) -> str:
-    """Format a number with twelve significant digits, so that rounding differences between CPUs do not show.
+    """Format a number with twelve significant digits, which hides rounding differences between CPUs.
 
     Magnitudes below 1e-100, far below any quantity in a scene, become zero because some readers reject denormal
     numbers.
@@ -78,25 +78,26 @@ def number(value: float) -> str:
 
 @lru_cache(maxsize=16384)
 def rounded(value: float) -> float:
-    """Return the number rounded as :func:`number` writes it; the last bits of a double differ between CPUs."""
+    """Round a number to the value that :func:`number` writes, because the last bits of a double differ between CPUs."""
     return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:
-    """Return the values formatted by :func:`number`, separated by spaces; arrays are read row by row."""
+    """Format values with :func:`number`, separated by spaces; arrays are flattened in row-major order."""
     return " ".join(map(number, values.ravel().tolist() if isinstance(values, np.ndarray) else values))
 
 
 def rounded_list(values: Array) -> list[float]:
-    """Return the :func:`rounded` values of an array, row by row."""
+    """Return the :func:`rounded` values of an array in row-major order."""
     return [rounded(v) for v in np.asarray(values).ravel().tolist()]
 
 
 @dataclass(frozen=True)
 class Backend:
-    """A compiler for one format: ``compile(scene, **options)`` returns an artifact; ``features`` gives each fidelity.
+    """A compiler for one format.
 
-    The parameters of ``compile`` after the scene are the options that a target profile can set.
+    ``compile(scene, **options)`` returns an :class:`Artifact`; its keyword parameters are the options that a target
+    profile can set. ``features`` maps each feature to its fidelity.
     """
 
     compile: Callable[..., Artifact]

@@ -1,7 +1,7 @@
-"""The features of a scene and their losses: the rows of the support matrix and of the loss report.
+"""Scene features and their losses, which are the rows of the support matrix and of the loss report.
 
-Each backend has a table, :data:`Cells`, with the fidelity of each feature. A compile reports its losses as typed
-records, from which ``loss.json`` and every report are generated; they agree with the table.
+Each backend has a table, :data:`Cells`, that lists the fidelity of each feature. Compiling a scene returns its losses
+as typed records that are consistent with this table; ``loss.json`` and all reports are generated from them.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
 Users = Callable[[Scene], Iterable[str]]
-"""The elements of a scene that use a feature, by name; a joint as ``object.joint``."""
+"""A function that returns the names of the scene elements that use a feature; a joint is named ``object.joint``."""
 
 _KEPT = "kept"
-"""The entry for a feature that a target preserves exactly."""
+"""The key under which elements that a target preserves exactly are counted."""
 
 _OF_ROBOTS = ("robots", "robot_motors", "robot_contacts")
-"""The features that are lost together with a robot if the robot is dropped."""
+"""The features that are lost when a robot is dropped."""
 
 
 class Fidelity(StrEnum):
-    """The ways in which a target fails to keep a feature exactly; a scene with a rejected one is not compiled."""
+    """The ways in which a target can fail to preserve a feature; scenes with a rejected feature are not compiled."""
 
     APPROXIMATED = "approximated"
     DROPPED = "dropped"
@@ -40,7 +40,7 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class SupportCell:
-    """The fidelity of a feature in a target: exact if ``fidelity`` is None; ``reason`` explains any other."""
+    """The fidelity of a feature in a target, where None means exact, and the ``reason`` for it or a remark."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
@@ -51,9 +51,10 @@ Cells = Mapping[str, SupportCell]
 
 @dataclass(frozen=True)
 class Feature:
-    """One property that a spec can state: its group, a label for people, and the elements that use it in a scene.
+    """A property that a spec can state: its group, a human-readable label, and a function that lists its users.
 
-    ``quantity`` is the last word of the path of a loss, as in ``cup.friction``; empty if the element alone is the path.
+    ``quantity`` is the last component of a loss path, as in ``cup.friction``. It is empty if the element name alone is
+    the path.
     """
 
     group: str
@@ -63,27 +64,27 @@ class Feature:
 
 
 def exact(*features: str) -> dict[str, SupportCell]:
-    """Return the cells of features that are kept exactly."""
+    """Return the cells for features that are preserved exactly."""
     return dict.fromkeys(features, SupportCell())
 
 
 def approximated(reason: str) -> SupportCell:
-    """Return the cell of a feature that is kept, but not exactly."""
+    """Return the cell for a feature that is preserved only approximately."""
     return SupportCell(Fidelity.APPROXIMATED, reason)
 
 
 def dropped(reason: str) -> SupportCell:
-    """Return the cell of a feature that is left out."""
+    """Return the cell for a feature that is omitted."""
     return SupportCell(Fidelity.DROPPED, reason)
 
 
 def rejected(reason: str) -> SupportCell:
-    """Return the cell of a feature whose scenes are not compiled."""
+    """Return the cell for a feature that prevents a scene from being compiled."""
     return SupportCell(Fidelity.REJECTED, reason)
 
 
 def read_cells(folder: Path) -> dict[str, SupportCell]:
-    """Read the ``features.yaml`` of a backend: exact features, with or without a remark, and reasons for the others."""
+    """Read a backend's ``features.yaml``, which lists exact features, optional remarks, and reasons for all losses."""
     text = (folder / "features.yaml").read_text(encoding="utf-8")
     table = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     cells = exact(*table["exact"]) | {name: SupportCell(None, remark) for name, remark in table["remarks"].items()}
@@ -91,8 +92,8 @@ def read_cells(folder: Path) -> dict[str, SupportCell]:
     return cells | {name: dropped(reason) for name, reason in table["dropped"].items()}
 
 
-SIMPLIFIED_COLLIDERS = approximated("Every target gets the same simpler shapes; the loss report states the distance.")
-"""The cell of shapes that collide as convex parts or nearby primitives, which lowering decides for every target."""
+SIMPLIFIED_COLLIDERS = approximated("All targets use the same simplified shapes; the loss report states the deviation.")
+"""The cell for shapes that collide as convex parts or similar primitives, which lowering chooses for all targets."""
 
 
 def _of_objects(label: str, test: Callable[[SceneObject], object], quantity: str, group: str = "object") -> Feature:
@@ -128,7 +129,7 @@ def _left_out(scene: Scene, section: str) -> list[str]:
 
 
 def _robots(scene: Scene) -> list[str]:
-    """Return all robots; one without a model has no motors or surfaces that could be kept, either."""
+    """Return all robots, including those without a model, because their motors and surfaces are lost as well."""
     return [*(robot.name for robot in scene.robots), *_left_out(scene, "robots")]
 
 
@@ -148,15 +149,15 @@ FEATURES: dict[str, Feature] = {
     "gravity": Feature("scene", "gravity", lambda s: [s.name]),
     "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
     "robots": Feature("scene", "robots: base, links, joints", _robots),
-    "robot_motors": Feature("scene", "motors of robots", _robots, "actuators"),
-    "robot_contacts": Feature("scene", "surfaces of robots", _robots, "friction"),
+    "robot_motors": Feature("scene", "robot motors", _robots, "actuators"),
+    "robot_contacts": Feature("scene", "robot surfaces", _robots, "friction"),
     "mounted_cameras": Feature("scene", "cameras on robots and objects", _mounted_cameras),
     "cameras": Feature("scene", "cameras: pose and intrinsics", lambda s: [c.name for c in s.cameras]),
     "distant_lights": _of_lights("distant lights", LightType.DISTANT),
     "point_lights": _of_lights("point lights", LightType.POINT),
     "dome_lights": _of_lights("dome lights", LightType.DOME),
-    "background_mesh": Feature("scene", "a mesh as background", _meshes_around),
-    "background_splat": Feature("scene", "a Gaussian splat as background", _splats),
+    "background_mesh": Feature("scene", "background mesh", _meshes_around),
+    "background_splat": Feature("scene", "Gaussian splat background", _splats),
     "pose": _of_objects("pose in the world", lambda o: True, "pose"),
     "fixed": _of_objects("welded to the world", lambda o: o.fixed, "fixed"),
     "category": _of_objects("category", lambda o: o.category, "category"),
@@ -172,13 +173,13 @@ FEATURES: dict[str, Feature] = {
     "capsule": _of_colliders("collision capsules", lambda c: isinstance(c.geometry, Capsule)),
     "convex_mesh": _of_colliders("convex collision meshes", lambda c: isinstance(c.geometry, Mesh)),
     "collision_shape": _of_objects(
-        "round and hollow shapes that collide as simpler ones",
+        "round and hollow shapes with simplified colliders",
         lambda item: any(link.collision_error for link in item.links),
         "colliders",
         "body",
     ),
-    "friction": _of_colliders("friction of a pair (geometric mean)", lambda c: True, "friction"),
-    "restitution": _of_colliders("restitution of a pair (geometric mean)", lambda c: True, "restitution"),
+    "friction": _of_colliders("pairwise friction (geometric mean)", lambda c: True, "friction"),
+    "restitution": _of_colliders("pairwise restitution (geometric mean)", lambda c: True, "restitution"),
     "torsional_friction": _of_colliders("torsional friction", lambda c: c.torsional_friction > 0, "torsional_friction"),
     "rolling_friction": _of_colliders("rolling friction", lambda c: c.rolling_friction > 0, "rolling_friction"),
     "no_contact": Feature("body", "excluded pairs", _excluded, "no_contact"),
@@ -194,16 +195,16 @@ FEATURES: dict[str, Feature] = {
     "joint_limits": _of_joints(
         "joint limits", lambda j: j.limits is not None or j.type is JointType.PRISMATIC, "limits"
     ),
-    "joint_closed": _of_joints("the limit at which a joint is closed", lambda j: j.closed is not None, "closed"),
-    "joint_damping": _of_joints("viscous damping of joints", lambda j: j.damping > 0, "damping"),
-    "joint_friction": _of_joints("Coulomb friction of joints", lambda j: j.friction > 0, "friction"),
+    "joint_closed": _of_joints("limit at which a joint is closed", lambda j: j.closed is not None, "closed"),
+    "joint_damping": _of_joints("viscous joint damping", lambda j: j.damping > 0, "damping"),
+    "joint_friction": _of_joints("Coulomb joint friction", lambda j: j.friction > 0, "friction"),
     "armature": _of_joints("armature", lambda j: j.armature > 0, "armature"),
 }
-"""Every feature by name, in the order in which reports show them."""
+"""All features by name, in the order in which reports list them."""
 
 
 class Size(NamedTuple):
-    """The size of an approximation: a value and its unit, where ``1`` means a ratio or a coefficient."""
+    """The size of an approximation error: a value and its unit, which is ``1`` for a ratio or a coefficient."""
 
     value: float
     unit: str
@@ -211,10 +212,10 @@ class Size(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """A feature of the scene that a target cannot keep exactly.
+    """A scene feature that a target cannot preserve exactly.
 
-    ``feature`` is a key of :data:`FEATURES`. ``element`` is the name in the scene of the object, joint, collider or
-    light that is affected, or empty if all users of the feature are. ``size`` is the error of an approximation, None if
+    ``feature`` is a key of :data:`FEATURES`. ``element`` is the scene name of the affected object, joint, collider or
+    light, or empty if all elements that use the feature are affected. ``size`` is the approximation error, or None if
     it is unknown.
     """
 
@@ -226,29 +227,29 @@ class Loss:
 
     @property
     def path(self) -> str:
-        """The element and its quantity, such as ``cup.friction``, or only the quantity if all elements are affected."""
+        """The affected element and quantity, such as ``cup.friction``, or just the quantity if all are affected."""
         words = dict.fromkeys((self.element, FEATURES[self.feature].quantity))
         return ".".join(filter(None, words)) or self.feature
 
 
 def approximate(feature: str, element: str, reason: str, value: float | None = None, unit: str = "1") -> Loss:
-    """Return the loss of a feature that is approximated with an error of ``value`` in ``unit``."""
+    """Return the loss for a feature that is approximated with an error of ``value`` in ``unit``."""
     size = None if value is None else Size(float(f"{value:.3g}"), unit)
     return Loss(feature, element, Fidelity.APPROXIMATED, reason, size)
 
 
 def drop(feature: str, element: str, reason: str) -> Loss:
-    """Return the loss of a feature that is left out."""
+    """Return the loss for a feature that is omitted."""
     return Loss(feature, element, Fidelity.DROPPED, reason)
 
 
 def combination_reason(simulator: str, rule: str, a: float, b: float, got: float, wanted: float) -> str:
-    """Return the reason of a loss if a simulator combines two coefficients by another rule than the scene."""
-    return f"{simulator} takes {rule} of a pair: {got:.3g} for {a:.3g} and {b:.3g}; the scene specifies {wanted:.3g}."
+    """Return the reason for a loss caused by a simulator combining two coefficients differently from the scene."""
+    return f"{simulator} uses {rule} of a pair: {got:.3g} for {a:.3g} and {b:.3g}; the scene specifies {wanted:.3g}."
 
 
 def shared_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses that lowering causes in every target, such as omitted parts and simplified colliders."""
+    """Yield the losses that lowering causes for every target: omitted parts and simplified colliders."""
     for part in scene.left_out:
         yield drop("robots" if part.path.startswith("robots.") else "mounted_cameras", part.path, part.reason)
     for item in scene.objects:
@@ -261,24 +262,24 @@ def shared_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def variant_losses(scene: Scene, target: str) -> Iterator[Loss]:
-    """Yield one loss per object with variants, for a target whose files hold only one variant."""
+    """Yield one loss per object with variants, for a target whose files can contain only one variant."""
     for item in scene.objects:
         if item.variants:
             others = ", ".join(f"`{v.variant}`" for v in item.variants)
-            reason = f"{target} holds one variant: `{item.variant}` is written; {others} are left out."
+            reason = f"{target} supports only one variant: `{item.variant}` is written; {others} are omitted."
             yield drop("variants", item.name, reason)
 
 
 def splat_losses(scene: Scene, target: str) -> Iterator[Loss]:
-    """Yield the loss of a Gaussian splat in a target that draws only surfaces."""
+    """Yield the loss of a Gaussian splat in a target that renders only surfaces."""
     if scene.background is not None and scene.background.splat is not None:
-        yield drop("background_splat", "background", f"{target} renders surfaces, and a Gaussian splat has none.")
+        yield drop("background_splat", "background", f"{target} renders only surfaces, not Gaussian splats.")
 
 
 def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
-    """Count the elements that keep each used feature, have it approximated, or lose it; zeros are omitted.
+    """Count, for each used feature, the elements for which it is preserved, approximated or lost; zeros are omitted.
 
-    If an element has several losses, the worst one counts.
+    An element with several losses is counted under the worst of them.
     """
     users = _users(scene)
     worst: dict[str, dict[str, Fidelity]] = {name: {} for name in users}
@@ -293,7 +294,7 @@ def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int
 
 
 def _users(scene: Scene) -> Mapping[str, list[str]]:
-    """Return the elements that use each feature of a scene; cached because every target needs them."""
+    """Return the elements that use each feature in a scene; the result is cached because every target needs it."""
     if scene not in _USERS:
         _USERS[scene] = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
     return _USERS[scene]
@@ -303,7 +304,7 @@ _USERS: WeakKeyDictionary[Scene, Mapping[str, list[str]]] = WeakKeyDictionary()
 
 
 def _elements(users: list[str], element: str) -> list[str]:
-    """Return the elements that a loss affects: the element or its owner if one is named, otherwise all users."""
+    """Return the elements affected by a loss: the named element or the elements it belongs to, or else all users."""
     if not element or element in users:
         return [element] if element else users
     return [user for user in users if element.startswith(f"{user}.")]

@@ -1,4 +1,4 @@
-"""Validation of the names in a scene before they become file names, XML names and dictionary keys."""
+"""Validation of scene names before they are used as file names, XML names and dictionary keys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class InvalidSceneError(SimfoundryError, ValueError):
-    """A scene that no backend can write because a name is invalid or not unique."""
+    """Raised if no backend can write a scene, for example because a name is invalid or not unique."""
 
 
 def check_names(scene: Scene) -> None:
@@ -31,7 +31,7 @@ def check_names(scene: Scene) -> None:
 
 
 _SOUND: WeakSet[Scene] = WeakSet()
-"""Scenes whose names are valid; the check would otherwise repeat for every target."""
+"""Scenes whose names have been validated, so that the check is not repeated for every target."""
 
 
 def _check_object(item: SceneObject) -> None:

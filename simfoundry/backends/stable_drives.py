@@ -1,4 +1,4 @@
-"""Drive gains for engines with explicit springs: gains that are too stiff for the time step are reduced."""
+"""Drive gains for engines with explicit springs, in which gains that are too stiff for the time step are reduced."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from simfoundry.scene.model import Drive, Scene, SceneObject
 
 
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> dict[str, Drive]:
-    """Return the drives of an object by joint, limited such that time steps of ``timestep`` [s] do not diverge.
+    """Return an object's drives by joint name, with gains limited to be stable at a time step of ``timestep`` [s].
 
-    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping at 2 m /
-    dt. At a quarter of each limit, both together are still stable.
+    A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping alone at
+    2 m / dt. At a quarter of these limits, the combination is still stable.
     """
     if not any(joint.drive is not None for joint in item.joints):
         return {}
@@ -41,6 +41,6 @@ def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> I
             for field in ("stiffness", "damping") if joint.drive is not None else ():
                 wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
                 if written < wanted:
-                    reason = f"Its {field} is {written:.4g} instead of {wanted:.4g}: steps of "
+                    reason = f"Its {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
                     reason += f"{number(1000 * timestep)} ms would diverge."
                     yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")

@@ -1,4 +1,4 @@
-"""Elements as indented XML text for URDF and MJCF: attributes, text, children and comments."""
+"""Serialization of XML elements as indented text for URDF and MJCF."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 _MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
 _ESCAPES = [(_MARKUP | _WHITE).get(chr(k), chr(k)) for k in range(128)]
-"""The escaped form of each ASCII character; including unchanged characters makes ``translate`` twice as fast."""
+"""The escaped form of each ASCII character. Including unchanged characters makes ``translate`` twice as fast."""
 
 
 def xml_text(root: ET.Element) -> bytes:
-    """Return the text of an element tree, indented by two spaces; takes a tenth of the time of ElementTree's writer.
+    """Serialize an element tree with two-space indentation, ten times as fast as ElementTree's writer.
 
-    Attributes keep their order. The text of an element is written unless it is whitespace; text between elements is
-    not.
+    Attributes keep their order. An element's text is written unless it is whitespace; text between elements is
+    ignored.
     """
     lines: list[str] = []
     _append(lines, root, "")
@@ -25,7 +25,7 @@ def xml_text(root: ET.Element) -> bytes:
     return "\n".join(lines).encode()
 
 
-@lru_cache(maxsize=16384)  # the same numbers and names occur many times
+@lru_cache(maxsize=16384)  # the same numbers and names occur repeatedly
 def _escaped(value: str) -> str:
     return value.translate(_ESCAPES)
 

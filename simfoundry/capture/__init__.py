@@ -1,1 +1,1 @@
-"""Sensors to spec: from color, depth and intrinsics to objects with poses, sizes and names."""
+"""Reconstruct scene specs from sensor data: color, depth and intrinsics in; objects with names, poses, sizes out."""

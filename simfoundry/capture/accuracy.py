@@ -1,4 +1,4 @@
-"""Accuracy of a reconstruction by the paper's measures: position, size, Chamfer distance, F1 at 1 cm."""
+"""Reconstruction accuracy, using the metrics from the paper: position, size, Chamfer distance, and F1 at 1 cm."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds
 
-SAME_OBJECT = 0.06  # Objects whose centers are farther apart than this [m] are different ones
+SAME_OBJECT = 0.06  # Two objects whose centers are farther apart than this [m] are never matched
 
 F1_DISTANCE = 0.01
 
 
 @dataclass(frozen=True)
 class ObjectAccuracy:
-    """A true object and its reconstruction; ``recovered`` is empty if there is none.
+    """A ground-truth object and its reconstruction; ``recovered`` is empty if the object was not reconstructed.
 
-    ``position`` [m] is the distance between the centers of their bounding boxes; ``size_true`` and ``size`` [m] are the
-    extents of their own boxes, sorted; ``chamfer`` [m] the mean distance between their surfaces, both ways averaged;
-    ``f1`` at 1 cm; masses in kg.
+    ``position`` [m] is the distance between the centers of the two bounding boxes. ``size_true`` and ``size`` [m] are
+    the sorted extents of each object's own bounding box. ``chamfer`` [m] is the mean distance between the two surfaces,
+    averaged over both directions, and ``f1`` is the F1 score at 1 cm. Masses are in kg.
     """
 
     name: str
@@ -43,7 +43,7 @@ class ObjectAccuracy:
 
 
 def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[ObjectAccuracy]:
-    """Match the free objects of two scenes that one camera saw, each in a world frame of its own."""
+    """Match the free objects in two scenes seen by the same camera; each scene has its own world frame."""
     from scipy.optimize import linear_sum_assignment
 
     X_found_truth = found_camera.X_WC @ truth_camera.X_WC.inverse()
@@ -54,7 +54,7 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
-    # Beyond the limit all are equally wrong: otherwise an object that was not found would take a neighbor's match.
+    # Clip distances at the limit: otherwise, an object that was not found could take its neighbor's match.
     matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(np.minimum(distance, SAME_OBJECT))), strict=True))
     out = []
     for k, item in enumerate(real):
@@ -82,7 +82,10 @@ def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float)
 
 
 def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:
-    """Points spread evenly over the visuals of an object posed at ``X_WO`` [m], shape (count, 3); deterministic."""
+    """Return points [m] distributed evenly over the visuals of an object at ``X_WO``, shape (count, 3).
+
+    The result is deterministic.
+    """
     poses = link_poses(item)
     triangles = []
     for link in item.links:
@@ -99,7 +102,10 @@ def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:
 
 
 def surface_distance(a: Array, b: Array) -> tuple[float, float]:
-    """Chamfer distance [m] (mean of the two mean nearest distances) and F1 at 1 cm of two point sets."""
+    """Return the Chamfer distance [m] between two point sets, and their F1 score at 1 cm.
+
+    The Chamfer distance is the mean nearest-neighbor distance, averaged over both directions.
+    """
     from scipy.spatial import cKDTree
 
     to_b, to_a = cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]

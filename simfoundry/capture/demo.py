@@ -1,4 +1,4 @@
-"""The demo: reconstruct one capture, settle it, compile it for every target, run it, and compare it with the truth."""
+"""The demo: reconstruct a capture, settle it, compile and run it for every target, and compare it to ground truth."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """Results of the demo: the capture's run, entry file by target, motion by engine (or why it did not run), truth."""
+    """The results of the demo.
+
+    ``worlds`` maps each target to its entry file. ``motions`` maps each engine to the object motions, or to the reason
+    why it did not run. ``comparison`` compares the reconstruction to ground truth.
+    """
 
     run: CaptureRun
     worlds: dict[str, Path]
@@ -46,14 +50,17 @@ class Demo:
 
 
 def own_capture() -> Path:
-    """Return the folder of the project's own capture."""
+    """Return the folder that contains the capture shipped with the project."""
     return shipped("specs/captures/desk")
 
 
 def run_demo(
     capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None, force: bool = False
 ) -> Demo:
-    """Run the demo into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for an unusable capture."""
+    """Run the demo and write its results to ``out/scene`` and ``out/worlds``.
+
+    Raises :class:`SpecError` if the capture is unusable.
+    """
     report = progress or (lambda stage, share: None)
     cache = Cache.default()
     run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), cache, force)
@@ -77,7 +84,7 @@ def _motions(scene: Scene, engine: str) -> list[ObjectMotion] | str:
 
 
 def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """Compare with the true scene, if the capture names one that has the camera of the frame."""
+    """Compare with the ground-truth scene, if the capture specifies one that contains the camera of this frame."""
     loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:

@@ -1,4 +1,4 @@
-"""Spec entries of a reconstruction: objects, support, camera, materials, and the files of their meshes."""
+"""Spec entries for a reconstruction: objects, support, camera and materials, along with their mesh files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 
 class ShapeKind(StrEnum):
-    """Kind of an object as its shape suggests it."""
+    """The kind of an object, as inferred from its shape."""
 
     BOX = "box"
     CAN = "can"
@@ -48,7 +48,7 @@ class ShapeKind(StrEnum):
 
 @dataclass(frozen=True)
 class MaterialPrior:
-    """A row of the material table: densities [kg/m^3] over the solid volume, and the Coulomb friction coefficient."""
+    """A row in the material table: density [kg/m^3] of the solid volume, its range, and the Coulomb coefficient."""
 
     name: str
     density: float
@@ -57,7 +57,7 @@ class MaterialPrior:
     friction: float
 
 
-# Densities: the range of YCB objects of the kind (see above); frictions: estimates for such surfaces on wood.
+# Densities are the range over YCB objects of the same kind. Friction coefficients are estimates for contact with wood.
 TABLE = {
     ShapeKind.BOX: MaterialPrior("carton", 400, 150, 750, 0.4),
     ShapeKind.CAN: MaterialPrior("can", 700, 300, 1050, 0.35),
@@ -67,12 +67,12 @@ TABLE = {
 }
 SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
 
-# Upper limits of hue [deg] of the English color words, read off the HSV circle.
+# Upper hue limits [deg] of the English color words, read off the HSV color wheel.
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
 
 
 def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
-    """Classify a fitted shape."""
+    """Return the kind of object that a fitted shape suggests."""
     match geometry:
         case Box():
             return ShapeKind.BOX
@@ -84,7 +84,7 @@ def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
 
 
 def color_word(rgb: tuple[float, float, float]) -> str:
-    """Return a plain English word for an sRGB color in [0, 1]."""
+    """Return a common English word for an sRGB color with components in [0, 1]."""
     hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
     if value < 0.2:
         return "black"
@@ -99,7 +99,7 @@ def color_word(rgb: tuple[float, float, float]) -> str:
 
 
 def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Return the names with ``_2``, ``_3`` … appended to repeated ones."""
+    """Return the names, with ``_2``, ``_3``, … appended to duplicates."""
     used = set(taken)
     out = []
     for base in wanted:
@@ -115,7 +115,7 @@ SUPPORT_NAME = "table"  # the name of the support in the scene
 
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
-    """Return the support as a fixed prism whose top is at z = 0."""
+    """Return the spec of the support: a fixed prism whose top is at z = 0."""
     outline = tuple((meters(x), meters(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
     return ObjectSpec(
@@ -132,7 +132,7 @@ def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> Obje
 def object_spec(
     capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: MaterialPrior, color: tuple[float, float, float]
 ) -> ObjectSpec:
-    """Return a fitted object: its primitive, or else its mesh, with an estimated mass and its origin."""
+    """Return the spec of a fitted object: a primitive if possible, otherwise a mesh, with estimated mass and origin."""
     primitive = _shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
@@ -152,7 +152,7 @@ def object_spec(
 
 
 def _shape_spec(shape: FittedShape) -> Shape | None:
-    """Return the shape as a spec writes it, or None if only a mesh can represent it."""
+    """Return the shape in spec form, or None if only a mesh can represent it."""
     geometry = shape.geometry
     if shape.profile is not None:
         return LatheShape(lathe=Lathe(profile=tuple((meters(r), meters(z)) for r, z in shape.profile)))
@@ -168,7 +168,7 @@ def _shape_spec(shape: FittedShape) -> Shape | None:
 
 
 def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
-    """Return the camera that took the picture."""
+    """Return the spec of the camera that took the image."""
     height, width = frame.depth.shape
     X_WC: Pose = support.X_WC
     x, y, z = (meters(v) for v in X_WC.p)
@@ -184,19 +184,19 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
 
 
 def material_spec(substance: MaterialPrior) -> Material:
-    """Return a row of the material table as a material."""
+    """Convert a row in the material table to a material."""
     return Material(density=substance.density, friction=substance.friction)
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimeter."""
+    """Return the files of a mesh, keyed by path relative to the scene; vertices are rounded to 0.01 mm."""
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 
 def meters(value: float) -> float:
-    """Round a length to a tenth of a millimeter, finer than any supported sensor."""
+    """Round a length [m] to 0.1 mm, which is finer than the resolution of any supported sensor."""
     return round(float(value), 4)
 
 

@@ -1,4 +1,4 @@
-"""One registered RGB-D picture, the input of every later stage of a capture, and what the stages find in it."""
+"""A registered RGB-D image, which is the input to every later capture stage, and the results of those stages."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 
-NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
-MIN_PIXELS = 200  # pixels with depth: fewer show no plane
+NEAREST, FARTHEST = 0.1, 5.0  # [m] measuring range of tabletop sensors
+MIN_PIXELS = 200  # minimum number of pixels with depth; a plane cannot be found with fewer
 
-# Units of depth by their scale to meters, the most common first, for a hint where depth is implausible.
+# Depth units keyed by their scale to meters, most common first; used in hints when the depth is implausible.
 UNITS = {
     0.001: "millimeters",
     0.0001: "tenths of a millimeter",
@@ -24,7 +24,7 @@ UNITS = {
 
 
 class CaptureError(Exception):
-    """A capture that cannot be turned into a scene: a stable ``code``, the fault, and a hint that says what to do."""
+    """An error for a capture that cannot be reconstructed: a stable ``code``, the problem, and a hint to fix it."""
 
     def __init__(self, code: str, message: str, hint: str) -> None:
         super().__init__(f"{message} [{code}]\n  hint: {hint}")
@@ -35,11 +35,11 @@ class CaptureError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A color picture with depth registered to it.
+    """A color image with depth registered to it.
 
-    ``color`` uint8 RGB, shape (h, w, 3); ``depth`` [m] along the optical axis, float64, shape (h, w), NaN where there
-    is none; ``K`` the intrinsics [px], shape (3, 3); ``instances`` int32, shape (h, w), 0 where there is no object and
-    one number an object, or None where the capture has no masks.
+    ``color`` is RGB, uint8, shape (h, w, 3). ``depth`` [m] is measured along the optical axis, float64, shape (h, w),
+    and is NaN for pixels without a reading. ``K`` is the intrinsic matrix [px], shape (3, 3). ``instances`` is int32,
+    shape (h, w), with a unique number per object and 0 for the background; it is None if the capture has no masks.
     """
 
     color: NDArray[np.uint8]
@@ -49,7 +49,7 @@ class Frame:
 
     @property
     def points(self) -> Array:
-        """Points in the camera frame [m], shape (h, w, 3), NaN where there is no depth."""
+        """Points in the camera frame [m], shape (h, w, 3); NaN for pixels without depth."""
         h, w = self.depth.shape
         u, v = np.meshgrid(np.arange(w), np.arange(h))
         x = (u - self.K[0, 2]) / self.K[0, 0] * self.depth
@@ -57,35 +57,39 @@ class Frame:
         return np.stack([x, y, self.depth], axis=-1)
 
     def cleaned(self) -> Frame:
-        """Return the frame without depth outside the range of sensors; :class:`CaptureError` if too little remains."""
+        """Return the frame without depth values outside the sensor range.
+
+        Raises :class:`CaptureError` if too few values remain.
+        """
         finite = np.isfinite(self.depth) & (self.depth > 0)
         if not finite.any():
-            hint = "check that the depth file belongs to the color picture, and which values are declared invalid"
-            raise CaptureError("SF502", "the depth picture has no valid pixel", hint)
+            hint = "check that the depth file belongs to the color image, and which values are declared invalid"
+            raise CaptureError("SF502", "the depth image has no valid pixels", hint)
         valid = finite & (self.depth >= NEAREST) & (self.depth <= FARTHEST)
         if not valid.any():
             median = float(np.median(self.depth[finite]))
             scale = next((s for s in UNITS if NEAREST <= median * s <= FARTHEST), None)
-            unit = f"it seems to be in {UNITS[scale]}" if scale else "its unit is not one a sensor writes"
+            unit = f"it seems to be in {UNITS[scale]}" if scale else "its unit is not a common depth unit"
             hint = (
                 f"multiply the depth scale of the capture by {scale:g}" if scale else "check the capture's depth scale"
             )
-            message = f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {unit}"
+            message = f"no depth value is between {NEAREST} and {FARTHEST} m (median {median:g}): {unit}"
             raise CaptureError("SF502", message, hint)
         if valid.sum() < MIN_PIXELS:
-            message = f"only {valid.sum()} of {valid.size} depth pixels lie between {NEAREST} and {FARTHEST} m"
-            hint = f"at least {MIN_PIXELS} are needed; check the sensor's range and the declared invalid values"
+            message = f"only {valid.sum()} of {valid.size} depth pixels are between {NEAREST} and {FARTHEST} m"
+            hint = f"at least {MIN_PIXELS} are required; check the sensor's range and the declared invalid values"
             raise CaptureError("SF502", message, hint)
         return replace(self, depth=np.where(valid, self.depth, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class SupportSurface:
-    """Supporting surface of the objects.
+    """The surface that supports the objects.
 
-    ``X_WC`` puts the camera into the world whose origin lies on the surface, z up; ``outline`` [m] is the boundary of
-    the seen surface in world xy, shape (n, 2), counter-clockwise, simple, not repeated at its end; ``residual`` [m] is
-    the median distance of its points from the plane; ``inliers`` bool, shape (h, w), marks its pixels.
+    ``X_WC`` is the camera pose in the world frame, whose origin is on the surface with z up. ``outline`` [m] is the
+    boundary of the visible surface in world xy, shape (n, 2): a simple counterclockwise polygon whose first point is
+    not repeated at the end. ``residual`` [m] is the median distance of the surface points from the plane. ``inliers``
+    is a mask of the surface pixels, bool, shape (h, w).
     """
 
     X_WC: Pose
@@ -98,8 +102,8 @@ class SupportSurface:
 class Segmentation:
     """Objects above the support.
 
-    ``labels`` int32, shape (h, w): 0 where there is no object, else 1..n. ``supports[k]`` is the support of object
-    ``k``: another object's number, or 0 for the table.
+    ``labels`` is int32, shape (h, w): 1..n for pixels on an object, otherwise 0. ``supports[k]`` is the number of the
+    object that supports object ``k``, or 0 for the table.
     """
 
     labels: NDArray[np.int32]
@@ -107,9 +111,9 @@ class Segmentation:
 
 
 def depth_sigma(depth: Array) -> Array:
-    """Standard deviation [m] of a depth reading at ``depth`` [m].
+    """Return the standard deviation [m] of a depth reading at ``depth`` [m].
 
-    The quadratic law of triangulating sensors with generous, uncalibrated constants; thresholds across the capture code
-    are multiples of it.
+    This is the quadratic noise model of triangulation sensors with generous, uncalibrated constants. Thresholds
+    throughout the capture code are multiples of this value.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)

@@ -1,4 +1,4 @@
-"""Reader of a capture's files: one registered frame, or all findings at once."""
+"""Load the files of a capture: return a registered frame, or report all findings together."""
 
 from __future__ import annotations
 
@@ -16,18 +16,21 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
-# Largest number of values of an array: Pillow's own limit of pixels against decompression bombs.
+# Maximum number of values in an array; equals Pillow's pixel limit, which protects against decompression bombs.
 NUMBERS_MAX = 178_956_970
 
-FEWEST = 100  # Least number of pixels with usable depth
+FEWEST = 100  # Minimum number of pixels with usable depth
 
-USABLE_SHARE = 0.1  # Least share of usable measurements; with fewer, the unit is wrong or the picture shows no table
+USABLE_SHARE = 0.1  # Minimum fraction of usable readings; with fewer, the unit is wrong or no table is visible
 
-CLOSEST_MEDIAN = 0.15  # Least median depth of a table [m]: below it the unit is wrong if another unit fits
+CLOSEST_MEDIAN = 0.15  # Minimum median depth of a table [m]; below this, the unit is wrong if a different unit fits
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
-    """Return frame ``name`` of a checked capture document, or its first; :class:`SpecError` has every finding."""
+    """Return frame ``name`` (by default, the first) of a checked capture document.
+
+    Raises :class:`SpecError` with every finding.
+    """
     assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
     name = name or next(iter(frames))
@@ -39,7 +42,7 @@ def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
 
 @dataclass
 class _Reader:
-    """Reader of the files of one frame; it collects findings."""
+    """Reads the files of one frame and collects findings."""
 
     loaded: Loaded
     place: tuple[str, ...]
@@ -59,12 +62,12 @@ class _Reader:
             self.intrinsics(shot.depth.camera, width, height, ("depth", "camera"), shot.depth.image)
         elif depth is not None and color is not None and depth.shape != color.shape[:2]:
             message = f"{shot.depth.image} is {_size(depth)}, but {shot.color} is {_size(color)}"
-            hint = "register depth to color, or give the depth camera's own `camera` and `pose`"
+            hint = "register depth to color, or specify the `camera` and `pose` of the depth camera"
             self.fail("SF501", ("depth", "image"), message, hint)
         if masks is not None and color is not None and masks.shape != color.shape[:2]:
             image = shot.masks.image if shot.masks is not None else ""
             message = f"{image} is {_size(masks)}, but {shot.color} is {_size(color)}"
-            self.fail("SF501", ("masks", "image"), message, "masks must match the color picture pixel by pixel")
+            self.fail("SF501", ("masks", "image"), message, "masks must match the color image pixel by pixel")
         if self.findings or color is None or depth is None:
             raise SpecError(self.findings)
         if shot.depth.camera is not None and shot.depth.pose is not None:
@@ -72,31 +75,34 @@ class _Reader:
             size = (color.shape[0], color.shape[1])
             depth = register(depth, matrix(shot.depth.camera), X_color_depth, matrix(shot.camera), size)
             if np.isfinite(depth).sum() < FEWEST:
-                message = f"hardly anything that {shot.depth.image} measures lies in the view of {shot.color}"
-                hint = "`pose` is the depth camera's in the color camera's frame, in meters; is it its inverse?"
+                message = f"almost none of the points in {shot.depth.image} are visible in {shot.color}"
+                hint = "`pose` must be the depth camera's pose in the color camera's frame, in meters; is it inverted?"
                 self.fail("SF501", ("depth", "pose"), message, hint)
                 raise SpecError(self.findings)
         return Frame(color, depth, matrix(shot.camera), masks)
 
     def color(self, shot: Shot) -> NDArray[np.uint8] | None:
-        """Return color as RGB, the pixels as stored: depth, masks and intrinsics ignore an EXIF rotation."""
+        """Return the color image as RGB.
+
+        Any EXIF rotation is ignored, because depth, masks and intrinsics refer to the pixels as stored.
+        """
         picture = self.stored(shot.color, ("color",), mode="RGB")
         if picture is not None and picture.shape[2:] != (3,):
-            self.fail("SF501", ("color",), f"{shot.color} is no color picture", "give a PNG or a JPEG")
+            self.fail("SF501", ("color",), f"{shot.color} is not a color image", "provide a PNG or a JPEG")
             return None
         return None if picture is None else picture.astype(np.uint8, copy=False)
 
     def depth(self, shot: Shot) -> Array | None:
-        """Return depth in meters, NaN where there is none."""
-        hint = "give the distances themselves: 16-bit PNG, TIFF or .npy, not a picture made for looking at"
+        """Return depth in meters; pixels without a reading are NaN."""
+        hint = "provide raw distances as a 16-bit PNG, TIFF or .npy file, not a depth image rendered for viewing"
         raw = self.raw(shot.depth.image, ("depth", "image"), hint)
         if raw is None:
             return None
         values = raw.astype(np.float64)
         valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, shot.depth.invalid)
         if not valid.any():
-            message = f"{shot.depth.image} holds no measurement: all values are invalid"
-            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
+            message = f"{shot.depth.image} contains no measurements: all values are invalid"
+            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor returned depth")
             return None
         meters = np.where(valid, values * shot.depth.scale, np.nan)
         usable = (meters >= NEAREST) & (meters <= FARTHEST)
@@ -106,25 +112,25 @@ class _Reader:
         if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
             hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
             percent = 100 * usable.sum() / valid.sum()
-            share = f"{percent:.0f}% of {shot.depth.image} lies between {NEAREST:g} and {FARTHEST:g} m"
+            share = f"{percent:.0f}% of {shot.depth.image} is between {NEAREST:g} and {FARTHEST:g} m"
             self.fail("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
             return None
         if usable.sum() < FEWEST:
-            message = f"{shot.depth.image} has {usable.sum()} usable pixels; {FEWEST} are needed at least"
-            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
+            message = f"{shot.depth.image} has {usable.sum()} usable pixels; at least {FEWEST} are required"
+            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor returned depth")
             return None
         return np.where(usable, meters, np.nan)
 
     def masks(self, shot: Shot) -> NDArray[np.int32] | None:
-        """Return object numbers, 0 where there is no object."""
+        """Return the object number at each pixel; 0 is the background."""
         if shot.masks is None:
             return None
-        hint = "give each object a number of its own in one channel, not a color"
+        hint = "use a single channel with a unique number per object, not colors"
         raw = self.raw(shot.masks.image, ("masks", "image"), hint)
         if raw is None:
             return None
         if raw.dtype.kind not in "bui" or raw.max() > np.iinfo(np.int32).max:
-            self.fail("SF501", ("masks", "image"), f"{shot.masks.image} holds {raw.dtype}, not object numbers", hint)
+            self.fail("SF501", ("masks", "image"), f"{shot.masks.image} contains {raw.dtype}, not object numbers", hint)
             return None
         labels = raw.astype(np.int32)
         labels[np.isin(labels, shot.masks.background)] = 0
@@ -136,7 +142,7 @@ class _Reader:
         return labels
 
     def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any] | None:
-        """Return a picture of one channel as it is stored; ``hint`` states the expected content."""
+        """Return a single-channel image as stored; ``hint`` describes the expected content."""
         picture = self.stored(image, path)
         if picture is not None and picture.ndim != 2:
             what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
@@ -145,39 +151,39 @@ class _Reader:
         return picture
 
     def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any] | None:
-        """Return the numbers in a picture file, converted to ``mode`` if given."""
+        """Return the pixel values in an image file, converted to ``mode`` if specified."""
         file = self.loaded.file(image)
         try:
             picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
         except _UnreadableError as error:
-            self.fail("SF501", path, f"{image} cannot be read as a picture: {error}", "export it again")
+            self.fail("SF501", path, f"{image} could not be read as an image: {error}", "export it again")
             return None
         if picture.size == 0 or picture.ndim == 0 or picture.dtype.kind not in "buif":
-            self.fail("SF501", path, f"{image} holds no picture: {picture.dtype}, shape {picture.shape}")
+            self.fail("SF501", path, f"{image} does not contain an image: {picture.dtype}, shape {picture.shape}")
             return None
         return picture
 
     def intrinsics(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """Check that the principal point lies in the picture and the field of view is that of a real lens."""
+        """Check that the principal point is inside the image and that the field of view is realistic."""
         if not (0 <= camera.cx < width and 0 <= camera.cy < height):
-            message = f"the principal point ({camera.cx:g}, {camera.cy:g}) lies outside {image}, {width} x {height}"
-            self.fail("SF501", path, message, "are the intrinsics those of another resolution?")
+            message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is outside {image}, {width} x {height}"
+            self.fail("SF501", path, message, "are the intrinsics for another resolution?")
         else:
             self.center(camera, width, height, path, image)
         for key, focal, extent in (("fx", camera.fx, width), ("fy", camera.fy, height)):
             if not 0.2 * extent <= focal <= 20 * extent:
-                message = f"`{key}` {focal:g} px does not fit a picture of {extent} px"
-                self.fail("SF501", (*path, key), message, "focal lengths are in pixels of this picture")
+                message = f"`{key}` {focal:g} px is implausible for an image of {extent} px"
+                self.fail("SF501", (*path, key), message, "specify the focal length in pixels of this image")
         if not 0.5 <= camera.fx / camera.fy <= 2:
-            self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
+            self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} imply implausible pixels")
 
     def center(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """Check the principal point: an implausible one betrays intrinsics of another picture or in another order."""
+        """Check that the principal point is plausible; if not, the intrinsics may be swapped or for another image."""
         x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
         message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
         if abs(x - 0.5) > 0.2 and abs(x - y) < 0.05:  # scaling moves it along the diagonal, cropping does not
             size = f"{round(2 * camera.cx + 1)} x {round(2 * camera.cy + 1)}"
-            hint = f"they look like those of a picture of {size}; this one is {width} x {height}"
+            hint = f"the intrinsics seem to be for an image of {size}; this image is {width} x {height}"
             self.fail("SF501", path, message, hint)
         elif (abs(x - 0.5) > 0.2 and abs(camera.fx / width - 0.5) < 0.05) or (
             abs(y - 0.5) > 0.2 and abs(camera.fy / height - 0.5) < 0.05
@@ -186,14 +192,17 @@ class _Reader:
 
 
 def matrix(camera: Intrinsics) -> Array:
-    """The intrinsic matrix K [px], shape (3, 3)."""
+    """Return the intrinsic matrix K [px], shape (3, 3)."""
     return np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
 
 
 def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
-    """Reproject depth [m] into the color camera, shape ``size`` (height, width), NaN where nothing lands.
+    """Reproject depth [m] into the color camera.
 
-    Each measurement covers the pixels that its own pixel spans in the color picture; the nearest one wins.
+    Each measurement covers the area that its own pixel spans in the color image; the nearest measurement wins.
+
+    Returns:
+        Depth [m], with shape ``size`` (height, width); NaN for pixels that no measurement covers.
     """
     height, width = size
     points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
@@ -216,21 +225,21 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
 
 
 class _UnreadableError(Exception):
-    """A picture file that cannot be read, and why."""
+    """An error for an image file that cannot be read; the message states the reason."""
 
 
 def _numpy(file: Path) -> NDArray[Any]:
     try:
-        stored = np.load(file, mmap_mode="r", allow_pickle=False)  # a header that claims more than the file is refused
+        stored = np.load(file, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than declared
         if stored.size > NUMBERS_MAX:
-            raise ValueError(f"it holds {stored.size:.2g} numbers, and at most {NUMBERS_MAX:.2g} are read")
+            raise ValueError(f"it contains {stored.size:.2g} numbers; the maximum is {NUMBERS_MAX:.2g}")
         return np.array(stored)
     except (OSError, ValueError, EOFError, OverflowError, AttributeError) as error:
         raise _UnreadableError(_first_line(error)) from None
 
 
 def _decoded(file: Path, mode: str) -> NDArray[Any]:
-    """Decode a picture as it is stored, a palette as its indices; raise an error if it is truncated or damaged."""
+    """Decode an image as stored (a palette image to its indices); raises an error if it is truncated or damaged."""
     from PIL import Image
 
     try:
@@ -243,7 +252,7 @@ def _decoded(file: Path, mode: str) -> NDArray[Any]:
 
 
 def _first_line(error: Exception) -> str:
-    """First line of a reader's message without the path, which the finding already has."""
+    """Return the first line of a reader's error message, without the path, which the finding already contains."""
     return " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""Reconstruction of a scene spec with meshes from one frame: pure stages in their order."""
+"""Reconstruct a scene spec with meshes from a single frame, in a sequence of pure stages."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A spec, the files it refers to by relative path, and the results of the stages.
+    """A spec, the files that it references (keyed by relative path), and the results of each stage.
 
-    ``names`` gives the number of each object in ``segmentation``; ``skipped`` says why a segment became no object.
+    ``names`` maps each object to its number in ``segmentation``. ``skipped`` lists the segments that did not become
+    objects, with reasons.
     """
 
     spec: SceneSpec
@@ -57,10 +58,10 @@ class Reconstruction:
 def reconstruct(
     name: str, frame: Frame, given_names: dict[str, int] | None = None, progress: Progress | None = None
 ) -> Reconstruction:
-    """Reconstruct one picture as a scene spec called ``name``.
+    """Reconstruct a scene spec called ``name`` from a single image.
 
-    ``given_names`` names objects by their number in ``frame.instances``. Raises :class:`CaptureError` where the picture
-    holds no support or no object.
+    ``given_names`` maps object names to their numbers in ``frame.instances``. Raises :class:`CaptureError` if no
+    support or no object is found in the image.
     """
     report = progress or (lambda stage, share: None)
     report("support", 0.0)
@@ -71,7 +72,7 @@ def reconstruct(
         frame, support, segmentation, lambda stage, share: report(stage, 0.3 + 0.4 * share)
     )
     if not shapes:
-        raise CaptureError("SF504", "no object could be fitted", "; ".join(skipped))
+        raise CaptureError("SF504", "could not fit any object", "; ".join(skipped))
     colors = {k: dominant_color(frame, segmentation.labels == k) for k in shapes}
     names = _names(frame, segmentation, shapes, colors, given_names or {})
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
@@ -114,7 +115,7 @@ def reconstruct(
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
-    """Remove objects from the reconstruction; objects that stood on them now stand on the table."""
+    """Remove objects from the reconstruction; objects that rested on them are now supported by the table."""
     gone = set(names)
     files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
     relations = []
@@ -138,7 +139,7 @@ def without(built: Reconstruction, names: Collection[str], reason: str) -> Recon
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:
-    """Return the spec with the ``OnTop`` relations that hold: its own where they do, else the present supports."""
+    """Return the spec with ``OnTop`` relations updated to the given supports; relations that still hold are kept."""
     relations = []
     for text in spec.relations:
         call = parse_call(text)
@@ -155,7 +156,7 @@ def _names(
     colors: dict[int, tuple[float, float, float]],
     given: dict[str, int],
 ) -> dict[int, str]:
-    """Name every object: by the capture if it has a name, else by its color and shape."""
+    """Name every object: use the name from the capture if there is one, otherwise derive it from color and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
@@ -167,24 +168,29 @@ def _names(
     return dict(zip(shapes, unique_names((wanted[k] for k in shapes), [SUPPORT_NAME]), strict=True))
 
 
-# Distance below the top of its support at which a supported object is not seen [m]; fitted tops err by 1 to 2 cm.
+# Maximum depth [m] of an object's visible points below the top of its support; fitted tops are off by 1 to 2 cm.
 SUNK = 0.03
 
-DOUBTFUL = 0.05  # Least confidence of a fit: below it, the solid explains next to none of the visible points
+DOUBTFUL = 0.05  # Minimum confidence of a fit; below this, the solid explains almost none of the visible points
 
-CARRIED = 0.25  # Least share of an object's visible points that lie above its support
+CARRIED = 0.25  # Minimum fraction of an object's visible points that must be above its support
 
-FOOTHOLD = 0.01  # Distance by which a support reaches beyond the middle of the object on it [m]
+FOOTHOLD = 0.01  # Minimum distance by which a support extends past the middle of the object on it [m]
 
-DEEPEST = 0.12  # Greatest depth that may be added to a box for that [m]
+DEEPEST = 0.12  # Maximum depth that may be added to a box for this purpose [m]
 
-EDGE = 0.01  # Distance by which they may lie beyond its edge [m]
+EDGE = 0.01  # Tolerance past the edge of the support within which points count as above it [m]
 
 
 def fit_segments(
     frame: Frame, support: SupportSurface, segmentation: Segmentation, report: Progress
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
-    """Fit every segment from the bottom up; also return each one's support, 0 for the table."""
+    """Fit a shape to every segment, from the bottom up.
+
+    Returns:
+        The fitted shapes by segment number, the number of each segment's support (0 for the table), and a message for
+        each segment that was skipped.
+    """
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
     skipped: list[str] = []
@@ -199,7 +205,7 @@ def fit_segments(
             skipped.append(f"segment {k}: {error.message}")
             continue
         if shape.confidence < DOUBTFUL:
-            skipped.append(f"segment {k}: no shape explains it (confidence {shape.confidence:.2f})")
+            skipped.append(f"segment {k}: no shape fits well enough (confidence {shape.confidence:.2f})")
             continue
         shapes[k] = shape
         if carriers[k]:
@@ -208,7 +214,7 @@ def fit_segments(
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:
-    """Order object numbers so that each follows its support."""
+    """Return the object numbers, ordered so that each object comes after its support."""
     numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
 
     def level(k: int, seen: frozenset[int] = frozenset()) -> int:
@@ -221,10 +227,10 @@ def _bottom_up(segmentation: Segmentation) -> list[int]:
 def _carrier(
     frame: Frame, support: SupportSurface, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int
 ) -> int:
-    """Return the fitted object that ``k`` stands on, 0 for the support.
+    """Return the number of the fitted object that supports ``k``, or 0 for the table.
 
-    The support graph is believed only if the supporting solid lies below a good part of the visible points of ``k``:
-    a foot that is merely hidden by a neighbor does not stand on it.
+    The support graph is trusted only if a substantial fraction of the visible points of ``k`` are above the supporting
+    solid. An object whose base is merely hidden by a neighbor is not supported by that neighbor.
     """
     import shapely
 
@@ -239,10 +245,11 @@ def _carrier(
 
 
 def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:
-    """Return a box made deep enough to reach under the middle of the object on it.
+    """Return a box extended in depth until it reaches under the middle of the object on it.
 
-    The far side of a box is never seen, and an object on it hides its top. Objects rest, so a depth that would let
-    them fall is wrong. ``eye`` [m] is the camera in the world; the seen side stays where it is.
+    The far side of a box is never visible, and an object on the box hides its top. Because objects are at rest, a depth
+    that would let them fall must be wrong. ``eye`` [m] is the camera position in the world; the visible side of the box
+    does not move.
     """
     if not isinstance(carrier.geometry, Box):
         return carrier
@@ -260,10 +267,10 @@ def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedSh
 
 
 def footprint(shape: FittedShape) -> NDArray[np.float64]:
-    """Corners of a fitted shape seen from above, in world xy [m], shape (n, 2)."""
+    """Return the corners of a fitted shape, projected to world xy [m], shape (n, 2)."""
     return shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, :2]
 
 
 def _top(shape: FittedShape) -> float:
-    """Height of the highest point of a fitted shape above the support [m]."""
+    """Return the height of a fitted shape's highest point above the support [m]."""
     return float(shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, 2].max())

@@ -1,4 +1,4 @@
-"""From a capture folder to a folder with a settled scene: reconstruct, settle, report, draw."""
+"""Turn a capture folder into a folder with a settled scene: reconstruct, settle, write a report, render images."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ Progress = Callable[[str, float], None]
 
 EXAMPLE = (
     "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
-    "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all of it"
+    "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all keys"
 )
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
-    """Result of a capture: the scene document, and how well it fits and rests."""
+    """The result of a capture: the scene document, and a report on how well the scene fits and settles."""
 
     scene_file: Path
     reconstruction: Reconstruction
@@ -57,11 +57,13 @@ def run_capture(
     cache: Cache | None = None,
     force: bool = False,
 ) -> CaptureRun:
-    """Reconstruct one frame of the capture document at ``path`` (or of ``capture.yaml`` in that folder) into ``out``.
+    """Reconstruct one frame of the capture document at ``path`` (or ``capture.yaml`` in that folder) into ``out``.
 
-    ``out`` is replaced in one step at the end; a run that fails leaves it as it was. Raises :class:`SpecError` with
-    every finding, and :class:`OutputError` where ``out`` holds files that no capture wrote, or edits, unless ``force``.
-    Two runs write the same bytes.
+    ``out`` is replaced atomically at the end; a failed run leaves it unchanged. Equal inputs give equal bytes.
+
+    Raises:
+        SpecError: The capture is unusable; the error contains every finding.
+        OutputError: ``out`` contains files that no capture wrote or that were edited since, and ``force`` is not set.
     """
     report_progress = progress or (lambda stage, share: None)
     loaded = _document(path)
@@ -95,20 +97,20 @@ def _run(
 
 
 def _document(path: Path) -> Loaded:
-    """Return the capture document at ``path``, or in the folder ``path``."""
+    """Load the capture document at ``path``, or ``capture.yaml`` if ``path`` is a folder."""
     if not path.is_dir():
         return load_capture(path)
     file = path / "capture.yaml"
     if not file.exists():
-        message = "the folder has no capture.yaml, the document that says which file is what"
+        message = "the folder has no capture.yaml, which describes the files in the capture"
         raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
     return load_capture(file)
 
 
 def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
-    """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or a person's files."""
+    """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or the user's own files."""
     if document.resolve().is_relative_to(out):
-        raise OutputError(f"{out} holds the capture itself; choose another output folder")
+        raise OutputError(f"{out} contains the capture itself; choose another output folder")
     if force or not out.is_dir():
         return
     try:
@@ -119,7 +121,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file in a folder except the report, by relative POSIX path."""
+    """Return the SHA-256 of every file in a folder except the report, keyed by relative POSIX path."""
     files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
@@ -127,10 +129,11 @@ def _hashes(folder: Path) -> dict[str, str]:
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
 ) -> tuple[Reconstruction, Scene, SettleResult]:
-    """Settle the scene, and write spec and meshes beside ``scene_file`` with the poses and relations at rest.
+    """Settle the scene, and write the spec to ``scene_file`` with its meshes and the settled poses and relations.
 
-    An object whose fitted solid does not come to rest is left out, and the others settle anew.
-    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimeter decides.
+    If the fitted solid of an object does not come to rest, the object is left out and the others are settled again. The
+    same applies to an object that moves away from the pose that was written: rounding by 0.1 mm may tip over an object
+    that is balanced on the edge of its base.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -145,7 +148,7 @@ def _settled(
         if not lost:
             break
         if len(lost) == len(built.shapes):
-            message = f"none of the {len(built.shapes)} objects found stays on the support"
+            message = f"none of the {len(built.shapes)} detected objects stays on the support"
             raise CaptureError("SF504", message, "show the objects and the table around them from higher up")
         built = without(built, lost, "its fitted solid does not stay on the support")
         shutil.rmtree(scene_file.parent / "meshes")
@@ -155,7 +158,10 @@ def _settled(
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """Return the object that moves most from the poses of ``spec`` within two seconds, or None if all stay."""
+    """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
+
+    The result is empty if no object moves.
+    """
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]
     return tuple(m.name for m in sorted(motions, key=lambda m: (-m.moved, m.name))[:1])

@@ -1,4 +1,4 @@
-"""The support as an object: a slab with the seen outline, its thickness, and the picture of its top."""
+"""The support as an object: a slab with the visible outline, its thickness, and a texture from the image."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from simfoundry.geometry.shapes import Mesh
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
 
-DEFAULT_THICKNESS = 0.03  # Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm
+DEFAULT_THICKNESS = 0.03  # Thickness [m] of a tabletop whose edge is not visible; common tops are 18 to 40 mm thick
 
-THINNEST = 0.012  # [m] of a table top; what is thinner is the noise of its rim
-EDGE = 0.015  # Points this close to the outline [m], and below the top, belong to its edge
+THINNEST = 0.012  # Minimum thickness of a tabletop [m]; anything thinner is noise at its rim
+EDGE = 0.015  # Points below the top and within this distance of the outline [m] are on the edge of the support
 
-# Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit.
+# Size of a texture pixel on the top [m], unless this would exceed the size limit of the texture.
 TEXTURE_STEP = 0.002
-TEXTURE_LIMIT = 1024  # [px] longer side of the texture: at most 3 MB, finer than a camera at a meter sees a table
+TEXTURE_LIMIT = 1024  # Longer side of the texture [px]: at most 3 MB, and more detail than a camera sees from 1 m away
 
-IN_FRONT = 0.02  # What is measured this much nearer than the top [m] hides it, whether or not it became an object
+IN_FRONT = 0.02  # A reading closer than the top by this much [m] hides the top, even if it is not part of an object
 
-MARGIN = 0.01  # How far a support reaches beyond what stands on it [m], where its own edge is not seen there
+MARGIN = 0.01  # Distance by which a support extends past the objects on it [m] if its own edge is not visible there
 
 
 def beneath(outline: Array, footprints: list[Array]) -> Array:
-    """The outline [m], shape (n, 2), grown so that every footprint on it lies inside: what stands is carried."""
+    """Return the outline [m], shape (n, 2), extended to contain the footprint of every object on it."""
     import shapely
 
     whole = shapely.Polygon(outline)
@@ -41,7 +41,7 @@ def beneath(outline: Array, footprints: list[Array]) -> Array:
         ground = shapely.MultiPoint(footprint).convex_hull.buffer(MARGIN, quad_segs=2)
         if not whole.contains(ground):
             joined = whole.union(ground)
-            # Something that stands apart from the seen surface is joined to it by the shortest way.
+            # Connect a footprint that is separate from the visible surface by the shortest path.
             whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
     simple = simplified(shapely.Polygon(whole.exterior), 0.002, growth=1.5)
     return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
@@ -57,14 +57,14 @@ def _bridge(a: Polygon, b: Polygon) -> Polygon:
 
 @dataclass(frozen=True)
 class Thickness:
-    """Thickness [m] of the support, and whether its edge was seen."""
+    """The thickness ``value`` [m] of the support; ``measured`` is True if its edge was visible."""
 
     value: float
     measured: bool
 
 
 def thickness(frame: Frame, support: SupportSurface) -> Thickness:
-    """Thickness of the support, from points of its edge where the picture shows enough of them."""
+    """Measure the thickness of the support if enough points on its edge are visible; otherwise use the default."""
     import shapely
 
     points = support.X_WC.apply(frame.points[np.isfinite(frame.depth)])
@@ -75,18 +75,18 @@ def thickness(frame: Frame, support: SupportSurface) -> Thickness:
         return Thickness(DEFAULT_THICKNESS, False)
     counts, edges = np.histogram(-near[:, 2], bins=np.arange(0.004, 0.124, 0.004))
     dense = counts > 0.02 * len(near)
-    end = int(np.argmin(dense))  # the edge is one band that starts at the top
+    end = int(np.argmin(dense))  # the edge is a single band that starts at the top
     if not dense[0] or dense.all() or edges[end] < THINNEST:
         return Thickness(DEFAULT_THICKNESS, False)
     return Thickness(float(edges[end]), True)
 
 
 def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
-    """The slab, top at z = 0, with the picture warped onto it.
+    """Return the slab as a mesh with its top at z = 0, with the image projected onto it.
 
-    Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's color.
-    What objects hide (``labels``, shape (h, w), above 0), and what lies outside the picture, gets the color of the
-    nearest seen patch.
+    Texture coordinates are positions in the bounding rectangle of the outline, so the sides get the color of the
+    adjacent rim. Areas hidden by objects (``labels`` above 0, shape (h, w)) or outside the image get the color of the
+    nearest visible area.
     """
     vertices, faces = prism_mesh(support.outline, height)
     vertices = vertices - np.array([0.0, 0.0, height / 2])
@@ -96,7 +96,7 @@ def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32
 
 
 def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
-    """PNG of the top seen from above: +x to the right, +y up."""
+    """Return a PNG of the top seen from above, with +x to the right and +y up."""
     import cv2
 
     extent = high - low
@@ -114,12 +114,12 @@ def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], l
     seen = cv2.remap(bare, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
     measured = cv2.remap(frame.depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
     with np.errstate(invalid="ignore"):
-        seen &= ~(measured < depth - IN_FRONT)  # where there is no depth, the surface is taken to be what is seen
+        seen &= ~(measured < depth - IN_FRONT)  # if depth is missing, assume that the surface is visible
     return encode_png(_filled(color, seen & (in_camera[..., 2] > 0)))
 
 
 def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The picture with unseen pixels taken from a blurred copy of what is seen near them."""
+    """Fill the pixels that were not visible from a blurred copy of the visible pixels near them."""
     import cv2
 
     weight = seen.astype(np.float32)

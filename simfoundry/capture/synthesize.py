@@ -1,4 +1,4 @@
-"""A scene to a capture folder: what a real sensor would have recorded of it."""
+"""Synthesize a capture folder from a scene, simulating the recording of a real sensor."""
 
 from __future__ import annotations
 
@@ -20,40 +20,43 @@ from simfoundry.spec.yaml.write import to_yaml
 
 @dataclass(frozen=True)
 class SensorModel:
-    """A structured-light or active-stereo depth camera.
+    """A noise model of a structured-light or active-stereo depth camera.
 
-    The spread of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
-    ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] from facing the camera. This form and
-    its defaults are the fit to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
-    Reconstruction and Tracking", 3DIMPVT 2012 (who add the last term beyond 60 degrees only; here it grows from zero,
-    so that the spread has no step); ``lateral`` is their 0.8 px for a surface that faces the camera.
+    The standard deviation of depth along the optical axis is ``axial_base + axial_growth * (z - axial_origin)^2``, plus
+    ``axial_tilt / sqrt(z) * t^2 / (pi/2 - t)^2`` on a surface tilted by t [rad] relative to the image plane. The model
+    and its defaults were fitted to a Kinect by Nguyen, Izadi and Lovell, "Modeling Kinect Sensor Noise for Improved 3D
+    Reconstruction and Tracking", 3DIMPVT 2012. They add the last term only beyond 60 degrees; here, it grows from zero
+    to avoid a discontinuity. ``lateral`` is their value of 0.8 px for a surface that faces the camera.
     """
 
-    axial_base: float = 0.0012  # Spread at ``axial_origin`` [m]
-    axial_growth: float = 0.0019  # Growth of the spread with the square of the distance [1/m]
-    axial_origin: float = 0.4  # Distance of the smallest spread [m]
-    axial_tilt: float = 0.0001  # Spread that a tilted surface adds [m^1.5]
-    lateral: float = 0.8  # Spread of where an edge appears in the image [px]
-    # Smallest step of disparity [px]; 0 for none. Depth comes in steps of z^2 * step / (fx * baseline).
+    axial_base: float = 0.0012  # Standard deviation at ``axial_origin`` [m]
+    axial_growth: float = 0.0019  # Growth of the standard deviation with the square of the distance [1/m]
+    axial_origin: float = 0.4  # Distance at which the standard deviation is smallest [m]
+    axial_tilt: float = 0.0001  # Coefficient of the additional noise on tilted surfaces [m^1.5]
+    lateral: float = 0.8  # Standard deviation of an edge's position in the image [px]
+    # Disparity resolution [px], or 0 for unlimited. Depth is quantized in steps of z^2 * step / (fx * baseline).
     disparity_step: float = 0.125
     baseline: float = 0.075  # Distance between projector and camera, or between the two cameras [m]
-    # A change of depth between neighbors that is an edge: relative, beyond what the slope of the surface explains.
+    # Relative depth change between neighbors that counts as an edge, in excess of the slope of the surface.
     edge_jump: float = 0.03
-    edge_band: int = 2  # How far from an edge the farther surface stays without depth [px]
-    grazing_deg: float = 78.0  # Surfaces tilted more than this from facing the camera [deg] return nothing
-    dropout: float = 0.002  # Probability that a pixel returns nothing for no reason
-    nearest: float = 0.25  # Nearest depth [m]
-    farthest: float = 4.0  # Farthest depth [m]
+    edge_band: int = 2  # Distance from an edge within which the farther surface has no depth [px]
+    grazing_deg: float = 78.0  # Maximum tilt relative to the image plane [deg]; steeper surfaces return no depth
+    dropout: float = 0.002  # Probability that a pixel returns no depth for no particular reason
+    nearest: float = 0.25  # Minimum depth [m]
+    farthest: float = 4.0  # Maximum depth [m]
 
 
-# A short-range active-stereo camera on a desk: about 0.9 mm of spread at 0.5 m.
+# A short-range active-stereo camera on a desk, with a standard deviation of about 0.9 mm at 0.5 m.
 ACTIVE_STEREO = SensorModel(
     axial_base=0.0004, axial_growth=0.0019, axial_origin=0.0, lateral=0.6, disparity_step=0.03125
 )
 
 
 def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Array:
-    """Depth [m], shape (h, w), as ``model`` would see it, NaN where it sees none; ``rng`` is the only chance in it."""
+    """Return the depth [m] that ``model`` would measure, shape (h, w); NaN for pixels without a reading.
+
+    ``rng`` is the only source of randomness.
+    """
     tilt = _tilt(ray)
     edge, behind = _edges(ray, tilt, model)
     depth = np.where(edge, _jittered(ray.depth, rng, model.lateral), ray.depth)
@@ -68,34 +71,35 @@ def simulate_depth(ray: Raycast, rng: np.random.Generator, model: SensorModel = 
 
 
 def simulate_color(ray: Raycast, rng: np.random.Generator, read: float = 1.2, shot: float = 0.12) -> NDArray[np.uint8]:
-    """The color picture with sensor noise of variance ``read^2 + shot^2 * value`` in 8-bit counts, shape (h, w, 3)."""
+    """Return the color image with sensor noise of variance ``read^2 + shot^2 * value`` (8-bit), shape (h, w, 3)."""
     value = ray.color.astype(np.float64)
     noisy = value + np.sqrt(read**2 + shot**2 * value) * rng.standard_normal(value.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def simulate_frame(ray: Raycast, rng: np.random.Generator, model: SensorModel = ACTIVE_STEREO) -> Frame:
-    """Color, depth, intrinsics and instance masks of ``ray`` as a real camera would deliver them."""
+    """Return color, depth, intrinsics and instance masks as a real camera would record them."""
     c = ray.camera
     K = np.array([[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]])
     return Frame(color=simulate_color(ray, rng), depth=simulate_depth(ray, rng, model), K=K, instances=ray.objects)
 
 
 def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Shot:
-    """Write ``color.png`` (8-bit RGB), ``depth.png`` (16-bit, ``depth_scale`` [m] a count, 0 for none) and, where the
-    frame has masks, ``instances.png`` (16-bit labels). The same frame gives the same bytes.
+    """Write the images of a capture; equal frames give equal bytes.
 
-    Raises ValueError, before anything is written, for a depth or a label that 16 bits cannot hold.
+    The files are ``color.png`` (8-bit RGB), ``depth.png`` (16-bit in units of ``depth_scale`` [m], 0 for missing depth)
+    and, if the frame has masks, ``instances.png`` (16-bit labels). Raises ValueError, before writing anything, if a
+    depth or a label does not fit in 16 bits.
     """
     counts = np.rint(np.where(np.isnan(frame.depth), 0.0, frame.depth) / depth_scale)
     if counts.min() < 0 or counts.max() > 65535:
         low, high = float(np.nanmin(frame.depth)), float(np.nanmax(frame.depth))
         raise ValueError(
-            f"depth from {low:.4g} to {high:.4g} m does not fit 16 bits at {depth_scale:g} m a count, "
-            f"which hold 0 to {65535 * depth_scale:.4g} m; give a larger depth_scale"
+            f"depth from {low:.4g} to {high:.4g} m does not fit in 16 bits with a depth_scale of {depth_scale:g} m; "
+            f"the maximum is {65535 * depth_scale:.4g} m; use a larger depth_scale"
         )
     if frame.instances is not None and (frame.instances.min() < 0 or frame.instances.max() > 65535):
-        raise ValueError(f"instance labels must be 0 to 65535, got up to {frame.instances.max()}")
+        raise ValueError(f"instance labels must be between 0 and 65535; the maximum is {frame.instances.max()}")
     folder.mkdir(parents=True, exist_ok=True)
     _write_png(folder / "color.png", frame.color)
     _write_png(folder / "depth.png", counts.astype(np.uint16))
@@ -121,7 +125,7 @@ def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Non
 
 
 def _tilt(ray: Raycast) -> Array:
-    """Angle between each surface and the ray that sees it [rad], 0 for facing, shape (h, w), NaN for none."""
+    """Return the angle between each surface normal and the viewing ray [rad], shape (h, w); NaN without a surface."""
     c = ray.camera
     u, v = np.meshgrid(np.arange(c.width), np.arange(c.height))
     local = np.stack([(u - c.cx) / c.fx, (v - c.cy) / c.fy, np.ones(u.shape)], axis=-1)
@@ -130,16 +134,16 @@ def _tilt(ray: Raycast) -> Array:
 
 
 def _axial_spread(z: Array, tilt: Array, model: SensorModel) -> Array:
-    """Standard deviation of the depth [m], shape (h, w)."""
-    t = np.minimum(tilt, math.radians(85.0))  # the fit grows without bound toward 90 degrees
+    """Return the standard deviation of the depth [m], shape (h, w)."""
+    t = np.minimum(tilt, math.radians(85.0))  # the model diverges at 90 degrees
     facing = model.axial_base + model.axial_growth * (z - model.axial_origin) ** 2
     return np.asarray(facing + model.axial_tilt / np.sqrt(z) * t**2 / (math.pi / 2 - t) ** 2)
 
 
 def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pixels whose depth is uncertain beside a jump of depth, and those of its farther side that are hidden."""
+    """Return masks of the pixels with uncertain depth beside a depth jump, and of hidden pixels on its farther side."""
     z = np.where(np.isnan(ray.depth), np.inf, ray.depth)
-    # A plane tilted by t changes by z tan(t) / f from one pixel to the next; only more than that is a jump.
+    # The depth of a plane tilted by t changes by z tan(t) / f from pixel to pixel; only larger changes are jumps.
     steepness = np.tan(np.minimum(np.nan_to_num(tilt), math.radians(85.0))) / min(ray.camera.fx, ray.camera.fy)
     slack = 2 * np.nan_to_num(ray.depth) * steepness
     near_side, far_side = np.zeros(z.shape, dtype=np.bool_), np.zeros(z.shape, dtype=np.bool_)
@@ -161,7 +165,7 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
 
 
 def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    """The mask with its neighbors up to ``steps`` pixels away (city blocks), on a path that stays ``within``."""
+    """Dilate a mask by ``steps`` pixels (Manhattan distance) along paths that stay ``within`` another mask."""
     for _ in range(max(0, steps)):
         wide = mask.copy()
         wide[1:] |= mask[:-1]
@@ -173,23 +177,26 @@ def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None
 
 
 def _jittered(depth: Array, rng: np.random.Generator, spread: float) -> Array:
-    """Each pixel's depth taken from a place nearby, ``spread`` [px] away on average in each direction."""
+    """Return the depth with each pixel sampled at a random offset with standard deviation ``spread`` [px] per axis."""
     h, w = depth.shape
     shift = np.rint(spread * rng.standard_normal((2, h, w))).astype(np.int64)
     v, u = np.meshgrid(np.arange(h), np.arange(w), indexing="ij")
     return np.asarray(depth[np.clip(v + shift[0], 0, h - 1), np.clip(u + shift[1], 0, w - 1)])
 
 
-CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")  # What a synthesized capture consists of
+CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")  # Files in a synthesized capture
 
 
 def synthesize(
     scene: Scene, camera: Camera, folder: Path, seed: int, masks: bool = False, truth: Path | None = None
 ) -> Path:
-    """Write color, depth and ``capture.yaml`` of ``scene`` seen by ``camera`` into ``folder``; returns the document.
+    """Write a capture of ``scene`` as seen by ``camera``: color, depth and ``capture.yaml`` in ``folder``.
 
-    The same scene and seed give the same bytes. ``truth`` names the scene document in the capture where it lies in
-    the same folder.
+    Equal scenes and seeds give equal bytes. If ``truth``, the scene document, is in the same folder, the capture
+    refers to it as ground truth.
+
+    Returns:
+        The path of the capture document.
     """
     frame = simulate_frame(raycast(scene, camera), np.random.default_rng(seed))
     shot = write_capture(folder, frame if masks else replace(frame, instances=None))
@@ -197,7 +204,7 @@ def synthesize(
     spec = CaptureSpec(
         simfoundry="capture/1",
         name=folder.resolve().name,
-        description=f"The scene {scene.name} as a simulated sensor sees it from {camera.name}, seed {seed}.",
+        description=f"The scene {scene.name} as seen by a simulated sensor at {camera.name}, seed {seed}.",
         frames={camera.name: shot},
         truth=truth.name if beside and truth is not None else None,
     )

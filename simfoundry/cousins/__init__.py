@@ -1,1 +1,1 @@
-"""Digital cousins: recipes that produce variants of a scene, each of them placed, settled and checked."""
+"""Digital cousins: recipes that generate variants of a scene and place, settle and check each one."""

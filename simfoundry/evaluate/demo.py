@@ -1,4 +1,4 @@
-"""Final step of the demo: place an arm beside the captured table and let it do a small task."""
+"""The final step of the demo: place an arm beside the captured table and have it perform a small task."""
 
 from __future__ import annotations
 
@@ -48,43 +48,50 @@ from simfoundry.worlds.base import World, camera_of
 from simfoundry.worlds.rest import center_of_mass
 
 ARM = "demo_arm"
-"""The arm used: the one that needs no download."""
+"""The robot that the demo uses; this arm does not need to be downloaded."""
 
 NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
-"""Distances of the base from the midpoint between object and target, best first, and its clearance from all objects
-[m]: its foot is 0.09 m wide, and the elbow needs space beside it.
+"""The distances from the base to the midpoint between object and target, in order of preference, and the minimum
+clearance between the base and any object [m]. The arm's foot has a radius of 0.09 m, and its elbow needs space beside
+it.
 """
 
 NEAREST, MARGIN = 0.30, 0.04
-"""Minimum distance [m] from the base for a grasp from above (0.28 m measured), and the safety margin on the reach."""
+"""The minimum distance from the base for a grasp from above (measured: 0.28 m), and the safety margin on the reach [m].
+"""
 
 SIDES = (180, 135, -135, 90, -90)
-"""Directions of the base as seen from the objects: angles to the camera's side [deg]. Opposite the camera it occludes
-nothing.
+"""Directions from the objects to the base, measured from the direction to the camera [deg]. Opposite the camera, the
+arm does not occlude anything.
 """
 
 EDGE = 0.08
-"""Minimum distance from the table's edge [m] for the base to stand on the table."""
+"""The minimum distance [m] between a base on the table and the table's edge."""
 
 ATTEMPTS = 3
-"""Maximum number of tasks tried until one succeeds."""
+"""The maximum number of tasks to try before giving up."""
 
 PICTURES, SIZE = 5, (400, 300)
-"""Number of images in the strip, and their width and height [px]."""
+"""The number of images in the strip, and the width and height of each image [px]."""
 
 SCENE, TASK, STRIP, REPORT = "arm.scene.yaml", "arm.task.yaml", "strip.png", "report.json"
-"""Names of the output files."""
+"""The names of the output files."""
 
 CAMERA = "side"
-"""Name of the camera that shows the arm and its task."""
+"""The name of the camera that shows the arm performing its task."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmDemo:
-    """The result of the arm: its ``task`` document and the ``strip`` of images, None if there was no task to do.
+    """The result of the arm demo.
 
-    ``success`` tells if the goal held at the end, ``seconds`` is the duration of the arm's motion; ``reason`` explains
-    a failure.
+    Attributes:
+        instruction: The instruction of the task.
+        success: True if the goal held at the end.
+        seconds: The duration of the arm's motion [s].
+        reason: An explanation of a failure.
+        task: The task document, or None if no suitable task was found.
+        strip: The strip of images, or None if no suitable task was found.
     """
 
     instruction: str
@@ -95,13 +102,13 @@ class ArmDemo:
     strip: Path | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the result as a plain mapping."""
         return {key: str(value) if isinstance(value, Path) else value for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True, eq=False)
 class _Idea:
-    """A task and the arm's pose for it: ``base`` on the ground [m], facing ``yaw`` [rad]."""
+    """A candidate task with the pose of the arm: ``base`` on the ground [m], facing ``yaw`` [rad]."""
 
     thing: str
     target: str
@@ -120,9 +127,15 @@ class _Idea:
 
 
 def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
-    """Let the arm do a small task in the scene of a document; write its scene, task and images to ``out``.
+    """Have the arm perform a small task in a scene, and write its scene, task and images to a folder.
 
-    Raises :class:`OutputError` if ``out`` has files that no demo wrote, unless ``force``.
+    Args:
+        scene_file: The document of the scene.
+        out: The output folder.
+        force: Whether to overwrite files in ``out`` that were not written by a demo.
+
+    Raises:
+        OutputError: If ``out`` contains such files and ``force`` is not set.
     """
     if not force:
         _ensure_replaceable(out)
@@ -132,7 +145,7 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
         return ArmDemo("", False, 0.0, str(error))
     _mark(out)
     scene = lower_file(scene_file, Cache.default())
-    done = ArmDemo("", False, 0.0, "no object here is small enough to be grasped and placed")
+    done = ArmDemo("", False, 0.0, "no object in the scene is small enough for the arm to grasp and place")
     for idea in islice(_ideas(scene), ATTEMPTS):
         done = _try(idea, scene, scene_file, out)
         if done.success:
@@ -152,21 +165,22 @@ def _ensure_replaceable(out: Path) -> None:
 
 
 def _mark(out: Path) -> None:
-    """Mark the demo's folder as a project if it is in none, because its documents reference each other."""
+    """Mark the demo's folder as a project unless it already belongs to one; its documents refer to each other."""
     if find_project(out) is not None:
         return
     marker = markers(Project(out.parent))
     if not marker:
         raise OutputError(
-            f"{out.parent} also holds other files; give the demo a folder of its own, such as -o {out.parent}/demo"
+            f"{out.parent} also contains other files; use a separate folder for the demo, such as -o {out.parent}/demo"
         )
     for file, text in marker.items():
         write_atomically(file, text.encode())
 
 
 def _ideas(scene: Scene) -> Iterator[_Idea]:
-    """Yield possible tasks, best first: into a container rather than onto a support, and small objects rather than
-    large.
+    """Yield possible tasks in order of preference.
+
+    Containers are preferred over flat supports, and small objects over large ones.
     """
     robot = lower_robot("arm", RobotSpec(model=ARM), Path())
     fingers = jaws(robot)
@@ -194,7 +208,7 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
 
 
 def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
-    """Return whether the object has a place at which the goal would hold."""
+    """Return True if there is a place for the object at which the goal would hold."""
     found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
     states = [replace(state, poses=MappingProxyType({**state.poses, idea.thing: place.X_WO})) for place in found]
     try:
@@ -204,7 +218,7 @@ def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
-    """Yield base poses from which the arm reaches both objects, best first: position [m] and heading [rad]."""
+    """Yield base poses from which the arm can reach both objects, best first, as a position [m] and a heading [rad]."""
     ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
     middle = (ends[0] + ends[1]) / 2
     boxes = {item.name: world_bounds(item, item.X_WO) for item in scene.objects}
@@ -231,18 +245,18 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
 
 
 def _distance(point: Array, box: tuple[Array, Array]) -> float:
-    """Horizontal distance from a point to a box [m]."""
+    """Return the horizontal distance from a point to a box [m]."""
     off = np.maximum(np.maximum(box[0][:2] - point[:2], point[:2] - box[1][:2]), 0.0)
     return float(np.linalg.norm(off))
 
 
 def _inset(point: Array, box: tuple[Array, Array]) -> float:
-    """Horizontal distance from a point in a box to its nearest side [m]."""
+    """Return the horizontal distance from a point inside a box to the nearest side of the box [m]."""
     return float(np.minimum(point[:2] - box[0][:2], box[1][:2] - point[:2]).min())
 
 
 def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
-    """Write the task of an idea, run the expert on it, and render the result."""
+    """Write the task for an idea, run the expert on it, and render the result."""
     documents = {SCENE: _scene_text(idea, scene, scene_file, out), TASK: _task_text(idea)}
     with staged(out) as folder:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
@@ -264,10 +278,10 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
 
 
 def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
-    """Text of the captured scene with the arm and a camera that shows both."""
+    """Return the text of a scene that adds the arm, and a camera that shows it, to the captured scene."""
     toward = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
     aside = np.array([-toward[1], toward[0], 0.0])
-    # From the front and slightly from the side, at a distance [m] that shows the arm and its targets.
+    # View the arm from the front and slightly from the side, at a distance [m] that shows its targets too.
     eye = idea.base + 1.6 * toward + 0.8 * aside + np.array([0.0, 0.0, 0.8])
     look = idea.base + 0.27 * toward + np.array([0.0, 0.0, 0.3])
     base = Path(os.path.relpath(scene_file.resolve(), out.resolve())).as_posix()
@@ -293,8 +307,9 @@ def _numbers(values: Array) -> str:
 
 
 def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
-    """Images of a rollout side by side at equal intervals, labeled with their times; the rollout is replayed
-    for them.
+    """Return labeled images of a rollout at equal time intervals, side by side.
+
+    The rollout is replayed to render them.
     """
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)
@@ -310,7 +325,7 @@ def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image
 
 
 def _picture(world: World) -> Image:
-    """Render the demo's camera; without a GL driver by ray casting, with the arm as an ordinary object."""
+    """Render the demo's camera; without a GL driver, ray-cast the scene with the arm as an ordinary object."""
     if choose_engine() is not Engine.RAYCAST:
         return np.asarray(world.render(CAMERA, *SIZE))
     scene, state = world.scene, world.state()
@@ -322,7 +337,7 @@ def _picture(world: World) -> Image:
 
 
 def _robot_object(robot: Robot, state: SceneState) -> SceneObject:
-    """Convert a robot to an object whose joints are at their positions in the state."""
+    """Convert a robot to an object whose joints have the positions given by the state."""
     native = mujoco_model(robot)
     assert native is not None
     item = as_object(robot, read_robot(robot, native, f"{robot.name}.")).item

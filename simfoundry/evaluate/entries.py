@@ -1,6 +1,7 @@
-"""Entries of an evaluation as users select them: tasks, complete or from a given step, and policies.
+"""Parsing of the tasks and policies that users select for an evaluation.
 
-A policy is a word, a server, a document, a recording, or a Python class.
+A task is evaluated as a whole or from a given step. A policy is selected by a keyword, a server address, a document, a
+recording, or a Python class.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 @dataclass(frozen=True)
 class ExpertChoice:
-    """The scripted expert, which is created with its task."""
+    """The scripted expert, which is created for a specific task."""
 
 
 @dataclass(frozen=True)
 class RandomChoice:
-    """Random motion."""
+    """A policy that moves at random."""
 
 
 @dataclass(frozen=True)
 class ReplayChoice:
-    """Replay of the actions of a recording."""
+    """A policy that replays recorded actions."""
 
     path: Path
 
@@ -43,19 +44,27 @@ Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | PythonClass
 
 
 def parse_policy(text: str) -> Choice:
-    """Parse the text that selects a policy; raises :class:`PolicyError`, or ``SpecError`` for a bad document.
+    """Parse the text that selects a policy.
 
-    ``random``, ``expert``, ``replay:FILE``, ``python:MODULE:CLASS`` (or ``python:FILE.py:CLASS``; arguments follow as
-    ``?name=value&…``), a path to a ``*.policy.yaml``, or a server in short form,
-    ``openpi:localhost:8000?action_space=joint_position&horizon=8``: the keys are those of a policy document that take a
-    single word or number; the cameras are those of DROID.
+    The text is one of the following:
+
+    - ``random`` or ``expert``
+    - ``replay:FILE``
+    - ``python:MODULE:CLASS`` or ``python:FILE.py:CLASS``, optionally followed by arguments as ``?name=value&…``
+    - a path to a ``*.policy.yaml`` document
+    - a server in short form, such as ``openpi:localhost:8000?action_space=joint_position&horizon=8``; the query accepts
+      the keys of a policy document whose value is a single word or number, and the cameras are those of DROID
+
+    Raises:
+        PolicyError: If the text does not select a policy.
+        SpecError: If the policy document is invalid.
     """
     if text in ("random", "expert"):
         return RandomChoice() if text == "random" else ExpertChoice()
     kind, _, rest = text.partition(":")
     if kind == "replay":
         if not rest:
-            raise PolicyError("name the recording to replay, such as `replay:rollout.npz`")
+            raise PolicyError("`replay` requires a recording, such as `replay:rollout.npz`")
         return ReplayChoice(Path(rest))
     if kind == "python":
         return _python(rest)
@@ -65,11 +74,14 @@ def parse_policy(text: str) -> Choice:
         return _short(kind, rest)
     words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
     servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PROTOCOLS.names())
-    raise PolicyError(f"`{text}` is not a policy: give {words}, or a server, {servers}")
+    raise PolicyError(f"`{text}` is not a valid policy; use {words}, or a server such as {servers}")
 
 
 def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
-    """Create a selected policy, which connects at its first rollout; the expert is created with its task."""
+    """Create a selected policy; the expert is created separately, because it needs the task.
+
+    A policy behind a server connects when its first rollout starts.
+    """
     if isinstance(choice, RandomChoice):
         from simfoundry.evaluate.policies.open_loop import RandomPolicy
 
@@ -88,12 +100,13 @@ def _python(rest: str) -> PythonClass:
     path, _, query = rest.partition("?")
     module, _, name = path.rpartition(":")
     if not module or not name.isidentifier():
-        raise PolicyError(f"`python:{rest}` names no class; write `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
+        raise PolicyError(f"`python:{rest}` does not name a class; use `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
     said = parse_qsl(query, keep_blank_values=True)
     wrong = next((key for key, _ in said if not key.isidentifier()), None)
     if wrong is not None or len({key for key, _ in said}) < len(said):
         raise PolicyError(
-            f"`{query}` are not valid arguments of `{name}`; write each once, such as `?checkpoint=last.pt&horizon=8`"
+            f"`{query}` are not valid arguments for `{name}`; specify each argument once, such as "
+            "`?checkpoint=last.pt&horizon=8`"
         )
     return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
 
@@ -107,15 +120,15 @@ def _document(path: Path) -> PolicySpec:
 
 
 def _short(protocol: str, rest: str) -> PolicySpec:
-    """Parse a server's short form as an equivalent policy document."""
+    """Parse a server in short form into an equivalent policy document."""
     from pydantic import ValidationError
 
     address, _, query = rest.partition("?")
     said = {key: _value(value) for key, value in parse_qsl(query, keep_blank_values=True)}
     if "action_space" not in said:
         full = f"{protocol}:{address or 'localhost'}?action_space=joint_position"
-        reason = "the protocol does not transmit the meaning of the arm's numbers"
-        raise PolicyError(f"{reason}: write `{full}` or `…=joint_velocity`, or write a policy document")
+        reason = "the protocol does not say if actions are joint positions or velocities"
+        raise PolicyError(f"{reason}; use `{full}` or `…=joint_velocity`, or write a policy document")
     whole: dict[str, Any] = {
         "simfoundry": "policy/1",
         "name": protocol,
@@ -133,7 +146,10 @@ def _short(protocol: str, rest: str) -> PolicySpec:
 
 
 def _value(text: str) -> str | int | float:
-    """Parse a number written in digits, or `true` and `false`; otherwise keep the text, because `nan` may be a name."""
+    """Convert digits to a number and `true` or `false` to a boolean; any other text is returned unchanged.
+
+    For example, `nan` remains text, because it may be a name.
+    """
     if text in ("true", "false"):
         return text == "true"
     if re.fullmatch(r"[+-]?[0-9]+", text):
@@ -146,7 +162,7 @@ _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
 class TaskPart(StrEnum):
-    """The part of a task that is evaluated: the whole, a single step, or everything from a step on."""
+    """The part of a task to evaluate: the whole task, a single step, or everything from a step onward."""
 
     WHOLE = "whole"
     ALONE = "alone"
@@ -155,7 +171,7 @@ class TaskPart(StrEnum):
 
 @dataclass(frozen=True)
 class TaskEntry:
-    """A task of an evaluation: its document, and the ``step`` unless the whole is evaluated."""
+    """A task to evaluate: its document, and the ``step`` if only a part of the task is evaluated."""
 
     path: Path
     part: TaskPart = TaskPart.WHOLE
@@ -171,18 +187,18 @@ class TaskEntry:
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy of an evaluation: its ``label`` in reports, and the text that selects it."""
+    """A policy to evaluate: its ``label`` in reports, and the text that selects it."""
 
     label: str
     text: str
 
     def choice(self) -> Choice:
-        """Parse the text; raises :class:`PolicyError` or :class:`SpecError`."""
+        """Parse the text that selects the policy; raises :class:`PolicyError` or :class:`SpecError`."""
         return parse_policy(self.text)
 
     @property
     def digest(self) -> str:
-        """Return a digest of the selection, including the content of its document or recording."""
+        """A digest of the selection, including the content of the document or recording."""
         choice = self.choice()
         if isinstance(choice, PythonClass):
             return choice.digest
@@ -191,15 +207,17 @@ class Contender:
 
 
 def contenders(texts: tuple[str, ...]) -> list[Contender]:
-    """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; labels must be unique."""
+    """Parse texts of the form ``POLICY`` or ``LABEL=POLICY``; each label must be unique."""
     found: list[Contender] = []
     for text in texts:
         match = _LABELED.fullmatch(text)
         label, policy = match.groups() if match else (_label(text), text)
         if any(label == other.label for other in found):
-            raise SimfoundryError(f"two policies have the label `{label}`; give one another label: `NAME={policy}`")
+            raise SimfoundryError(
+                f"two policies have the label `{label}`; choose a different label for one of them: `NAME={policy}`"
+            )
         one = Contender(label, policy)
-        choice = one.choice()  # report an invalid policy now and not after an hour
+        choice = one.choice()  # report an invalid policy immediately rather than after an hour
         if isinstance(choice, PythonClass):
             choice.find()
         found.append(one)

@@ -1,9 +1,15 @@
 """A task as a Gymnasium environment: ``gymnasium.make("SimFoundry/Task-v0", task="my.task.yaml")``.
 
-An observation is a dictionary of arrays: for each robot ``arm/joints`` [rad or m], ``arm/gripper`` (0 open to 1 closed)
-and ``arm/hand`` (position [m] and quaternion wxyz in the world); ``objects``, shape (objects, 7), likewise; ``joints``
-[rad or m] of the objects; and ``image/camera`` for each requested camera. An action is a policy's: for each robot its
-joints (positions or velocities), then its gripper.
+An observation is a dictionary of arrays:
+
+- ``arm/joints`` [rad or m], ``arm/gripper`` (0 open, 1 closed) and ``arm/hand`` (position [m] and wxyz quaternion in
+  the world) for each robot, here named ``arm``
+- ``objects``: the position [m] and wxyz quaternion of each object in the world, shape (objects, 7)
+- ``joints``: the positions of the objects' joints [rad or m]
+- ``image/camera`` for each requested camera, here named ``camera``
+
+An action has the same layout as a policy's action: the joint positions or velocities of each robot, followed by the
+position of its gripper.
 """
 
 from __future__ import annotations
@@ -37,20 +43,25 @@ from simfoundry.worlds import find_world, open_world
 from simfoundry.worlds.base import Image, WorldRobot
 
 FASTEST = 3.0
-"""Maximum joint velocity of an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz."""
+"""The maximum joint velocity in an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz."""
 
 Observations = dict[str, NDArray[Any]]
 
 
 class TaskEnv(gymnasium.Env[Any, Any]):
-    """A task that ends (``terminated``) when its goal has held, and is cut off (``truncated``) at its horizon.
+    """An environment that terminates once its goal has held, and truncates the episode at the task's horizon.
 
-    The reward is 1 if the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (the step at which each was
-    done, counted from 1, or 0 if it was not), ``start`` (the index of the start), and ``trouble``, empty unless the
-    simulation diverged, which also truncates the episode. ``reset`` draws one of ``starts`` starts with its seed, or
-    takes ``options={"start": k}``; ``options={"subtask": name}`` starts at that step, with its goal.
+    The reward is 1 if the goal has held and 0 otherwise. ``info`` contains:
 
-    ``cameras`` maps cameras of the scene to (width, height); without any, nothing is rendered.
+    - ``success``: True if the goal has held
+    - ``subtasks``: the step at which each sub-task was completed, counted from 1, or 0 if it was not completed
+    - ``start``: the index of the initial state
+    - ``trouble``: the reason why the simulation diverged, or an empty string; divergence also truncates the episode
+
+    ``reset`` uses its seed to draw one of ``starts`` initial states; ``options={"start": k}`` selects one instead.
+    ``options={"subtask": name}`` starts at that step and uses the goal of that step.
+
+    ``cameras`` maps names of cameras in the scene to (width, height); if it is empty, nothing is rendered.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
@@ -76,9 +87,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     ) -> None:
         find_world(engine)
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise SimfoundryError(f"no render mode `{render_mode}`; there is: rgb_array")
+            raise SimfoundryError(f"unknown render mode `{render_mode}`; the only available mode is rgb_array")
         if action_space not in list(ActionSpace):
-            raise SimfoundryError(f"no action space `{action_space}`; there are: {', '.join(ActionSpace)}")
+            raise SimfoundryError(f"unknown action space `{action_space}`; available: {', '.join(ActionSpace)}")
         self._cache = Cache.default() if cache else None
         self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
         need_robots(self._whole)
@@ -99,22 +110,22 @@ class TaskEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset to a start; see the class for ``options``."""
+        """Reset to an initial state; the class docstring describes ``options``."""
         super().reset(seed=seed)
         options = options or {}
         unknown = sorted(set(options) - {"start", "subtask", "reset_mask"})
         if unknown:
-            raise SimfoundryError(f"reset has no option `{unknown[0]}`; there are: start, subtask")
+            raise SimfoundryError(f"unknown reset option `{unknown[0]}`; available options: start, subtask")
         self._now = self._opened(str(options.get("subtask") or ""))
         k = options.get("start")
         k = int(self.np_random.integers(self._count)) if k is None else int(k)
         if not 0 <= k < self._count:
-            raise SimfoundryError(f"there is no start {k}; there are {self._count}, counted from 0")
+            raise SimfoundryError(f"start {k} does not exist; `start` must be between 0 and {self._count - 1}")
         self._begin(self._now.start(k, self._count, self._seed, self._cache))
         return self._observation(), self._info(False)
 
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Apply one action; raises :class:`SimfoundryError` if its length is wrong or a number is not finite."""
+        """Apply one action; raises :class:`SimfoundryError` if the action has the wrong length or is not finite."""
         now, task = self._now, self._now.task
         self._controller.apply(checked_actions(action, now.robots, "the action", single=True))
         now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
@@ -126,7 +137,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), float(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
-        """Render the camera, uint8, shape (h, w, 3); None without a render mode."""
+        """Render the camera as uint8, shape (h, w, 3); return None if no render mode is set."""
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
     def close(self) -> None:
@@ -161,7 +172,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
 
     def _opened(self, step: str) -> _Opened:
-        """Open the world of the whole task, or of one step alone, whose scene may have other joint targets."""
+        """Open the world of the whole task, or of a single step, whose scene may have different joint targets."""
         if step not in self._scenes:
             task = self._whole.alone(step) if step else self._whole
             self._scenes[step] = _Opened(task, self._engine)
@@ -171,12 +182,12 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         scene = self._whole.scene
         names = [c.name for c in scene.cameras] + [m.camera.name for m in scene.mounted]
         if camera is None and not names:
-            raise SimfoundryError(f"scene `{scene.name}` has no camera to render with")
+            raise SimfoundryError(f"scene `{scene.name}` has no camera to render from")
         return camera or names[0]
 
 
 class _Opened:
-    """A task with its world, its judge and its starts."""
+    """A task with its world, its judge and its initial states."""
 
     def __init__(self, task: Task, engine: str) -> None:
         self.task = task
@@ -186,14 +197,14 @@ class _Opened:
         self._starts: tuple[RolloutStart, ...] = ()
 
     def start(self, k: int, count: int, seed: int, cache: Cache | None) -> RolloutStart:
-        """Return the k-th of ``count`` starts; all are computed on first use."""
+        """Return the k-th of ``count`` initial states; all of them are computed on first use."""
         if not self._starts:
             self._starts = starts(self.task, count, seed, cache)
         return self._starts[k]
 
 
 def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
-    """Action space: the joint limits, or the maximum velocities, and the range of the gripper."""
+    """Return the action space: joint position limits or maximum velocities, and the range of each gripper."""
     low, high = [], []
     for robot in robots.values():
         for least, most in robot.limits().values():
@@ -205,7 +216,10 @@ def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
 
 
 def _space(key: str, value: NDArray[Any]) -> spaces.Box:
-    """Observation space of one entry; positions are unbounded because engines overstep limits slightly."""
+    """Return the observation space of one entry.
+
+    Positions are unbounded because engines slightly exceed joint limits.
+    """
     if value.dtype == np.uint8:
         return spaces.Box(0, 255, value.shape, np.uint8)
     low, high = (0.0, 1.0) if key.endswith("/gripper") else (-np.inf, np.inf)

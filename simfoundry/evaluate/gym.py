@@ -1,6 +1,6 @@
-"""Importing this module registers ``SimFoundry/Task-v0`` with Gymnasium; simulators are loaded on creation.
+"""Register ``SimFoundry/Task-v0`` with Gymnasium on import; simulators are loaded when an environment is created.
 
-``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports it implicitly.
+``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports this module implicitly.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Evaluation of policies on tasks: run the missing rollouts, in this process or in several."""
+"""Run the missing rollouts of an evaluation, in this process or in several worker processes."""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 GIVE_UP = 3
-"""Number of consecutive unanswered rollouts after which a policy's remaining ones are skipped: a stopped server would
-delay each of them by its whole `timeout`.
+"""Number of consecutive rollouts without a response after which a policy's remaining rollouts are skipped. Otherwise, a
+stopped server would delay each of them by its full `timeout`.
 """
 
 SILENCE_S = 3600.0
-"""Maximum duration of one rollout [s]: a minute of simulated time takes ten minutes with a slow policy server."""
+"""Maximum duration of one rollout [s]; with a slow policy server, simulating one minute takes about ten minutes."""
 
 FRAME_EVERY = 3
-"""Control steps between two images of a video: five images per second at 15 Hz."""
+"""Number of control steps between two video frames: five frames per second at 15 Hz."""
 
 
 @dataclass(frozen=True)
 class EvaluationPlan:
-    """The tasks and policies of an evaluation, with its options.
+    """The tasks, policies and options of an evaluation.
 
-    ``shard`` (i, n) takes every n-th rollout starting at i, from 0. ``cameras`` are those of the videos.
+    ``shard`` is a pair (i, n) that selects every n-th rollout, starting with rollout i, counted from 0. ``cameras`` are
+    the cameras to record as videos.
     """
 
     folder: Path
@@ -60,7 +61,7 @@ class EvaluationPlan:
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """One rollout of a plan."""
+    """One rollout in a plan."""
 
     entry: TaskEntry
     contender: Contender
@@ -70,34 +71,34 @@ class RolloutJob:
 
 @dataclass(frozen=True)
 class RolloutOutcome:
-    """The record of a job."""
+    """The outcome of a job: its record."""
 
     job: RolloutJob
     record: dict[str, Any]
 
     @property
     def answered(self) -> bool:
-        """Return whether there is a result: the policy answered, even if with something invalid."""
+        """True if the policy responded, even with an invalid response; only then does the rollout have a result."""
         return is_result(self.record)
 
     @property
     def trouble(self) -> str:
-        """Return the policy's fault, empty if its answers were valid."""
+        """The policy error that ended the rollout, or an empty string if all responses were valid."""
         return str(self.record["reason"]) if self.record["end"] in (RolloutEnd.INVALID, RolloutEnd.NO_ANSWER) else ""
 
 
 Seen = Callable[[RolloutOutcome, int, int], None]
-"""Callback that receives the outcome of each job, the number of finished jobs, and their total."""
+"""Callback that receives the outcome of each job, the number of finished jobs, and the total number of jobs."""
 
 
 def task_key(entry: TaskEntry, task: Task) -> str:
-    """Return the name of a task's folder, including the step if only a part is evaluated."""
+    """Return the name of a task's folder, which includes the step if only a part of the task is evaluated."""
     mark = {TaskPart.WHOLE: "", TaskPart.ALONE: ".", TaskPart.ONWARD: "+"}[entry.part]
     return f"{task.name}{mark}{entry.step}"
 
 
 def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
-    """List every rollout of the plan's shard, ordered by task, engine, policy and start."""
+    """List every rollout in the plan's shard, ordered by task, engine, policy and initial state."""
     first, of = plan.shard
     every = [
         RolloutJob(e, c, k, engine)
@@ -110,7 +111,7 @@ def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
 
 
 def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
-    """Load every task and find its starts, so that errors are reported before the first rollout."""
+    """Load every task and find its initial states, so that errors are reported before the first rollout."""
     check_layout(plan.folder)
     if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
@@ -118,19 +119,23 @@ def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | No
     for entry in plan.entries:
         task = entry.load(cache)
         if task_key(entry, task) in keys:
-            raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; give each task once")
+            raise SimfoundryError(f"two tasks have the name `{task_key(entry, task)}`; specify each task only once")
         keys.add(task_key(entry, task))
         need_robots(task)
         starts(task, plan.rollouts, plan.seed, cache, None if progress is None else partial(progress, task.name))
 
 
 def pending(plan: EvaluationPlan) -> list[RolloutJob]:
-    """List the jobs without a record; raises :class:`OutputError` if a record belongs to another evaluation."""
+    """List the jobs that do not have a record yet.
+
+    Raises:
+        OutputError: If an existing record belongs to a different evaluation.
+    """
     return [job for job in jobs(plan) if not _is_done(plan, job)]
 
 
 def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
-    """Run the jobs that are not done. If a policy stops answering, its remaining jobs are skipped."""
+    """Run the pending jobs; if a policy stops responding, its remaining jobs are skipped."""
     waiting = pending(plan)
     silent: Counter[str] = Counter()
     outcomes: list[RolloutOutcome] = []
@@ -145,7 +150,7 @@ def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutco
 def _carried_out(
     plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
 ) -> Iterator[RolloutOutcome]:
-    """Yield outcomes as jobs finish; jobs that are given up are not started."""
+    """Yield outcomes as jobs finish; jobs of a policy that was given up are not started."""
     if workers == 1 or len(waiting) < 2:
         try:
             for job in waiting:
@@ -167,7 +172,9 @@ def _carried_out(
                 job, outcome = pool.next()
                 running -= 1
                 if isinstance(outcome, WorkerError):
-                    raise SimfoundryError(f"the process of rollout {job.index} of {job.entry.path.name} {outcome.how}")
+                    raise SimfoundryError(
+                        f"the worker process for rollout {job.index} of {job.entry.path.name} {outcome.how}"
+                    )
                 if isinstance(outcome, SimfoundryError):
                     raise outcome
                 yield outcome
@@ -176,7 +183,7 @@ def _carried_out(
 
 
 def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome | SimfoundryError:
-    """Run one job in a worker, which closes its policies and world when the pool ends."""
+    """Run one job in a worker process, which closes its policies and world when the pool shuts down."""
     at_worker_exit(_close)
     try:
         return carry_out(plan, job)
@@ -205,7 +212,7 @@ def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
 
 
 def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
-    """Return the context stored in a record in addition to the conditions of its rollout."""
+    """Return the context to store in a record in addition to the conditions of the rollout."""
     regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
     cousin = cousin_of(task)
     return {
@@ -225,7 +232,7 @@ def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -
 
 
 def _model_name(robot: Robot) -> str:
-    """Return a robot's name in the document, else the file of its model."""
+    """Return the robot's name in the document, or the file name of its model if it has no name."""
     return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
@@ -239,14 +246,14 @@ def _is_done(plan: EvaluationPlan, job: RolloutJob) -> bool:
         if record.get(key) != value:
             what = "policy (its document, recording or code)" if key == "asked" else key
             raise OutputError(
-                f"{slot.path} belongs to another evaluation: its {what} is {record.get(key)!r}, not {value!r}; "
-                "choose another folder, or remove this one"
+                f"{slot.path} belongs to a different evaluation: its {what} is {record.get(key)!r}, not {value!r}; "
+                "choose a different folder, or remove this one"
             )
     return True
 
 
 def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, Any]:
-    """Return the conditions of a rollout; rollouts with equal conditions are identical to the last bit."""
+    """Return the conditions of a rollout; rollouts with equal conditions are bit-identical."""
     return {
         "task": task.name,
         "part": str(job.entry.part),
@@ -274,7 +281,7 @@ def _video(plan: EvaluationPlan, task: Task) -> Video | None:
 
 @dataclass(frozen=True)
 class _Setting:
-    """The task, starts, world and judge that a task's rollouts share in one process."""
+    """The task, initial states, world and judge that all rollouts of a task share within a process."""
 
     task: Task
     starts: tuple[RolloutStart, ...]
@@ -284,7 +291,7 @@ class _Setting:
 
 @lru_cache(maxsize=1)
 def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
-    """Return the cached setting of a task, or create it."""
+    """Return the setting of a task, creating it if it is not cached."""
     from simfoundry.predicates import Judge
 
     cache = Cache.default()
@@ -294,11 +301,11 @@ def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Settin
 
 
 _open: dict[tuple[TaskEntry | None, str], Policy] = {}
-"""Open policies of this process: a connection is kept as long as possible."""
+"""Policies that are open in this process; connections are kept open as long as possible."""
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:
-    """Return the policy of a job: the expert is created for each task, others stay connected across tasks."""
+    """Return the policy for a job; the expert is created for each task, other policies stay connected across tasks."""
     choice = job.contender.choice()
     key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:

@@ -1,6 +1,6 @@
-"""A task prepared for rollouts: its scene as the task starts, its steps as tasks of their own, its robots.
+"""A task prepared for rollouts: its scene in the task's initial state, its robots, and its steps as separate tasks.
 
-The `start` of a task, and then that of a step, are applied to the scene's document.
+The `start` of the task is applied to the scene document first, followed by the `start` of the step, if any.
 """
 
 from __future__ import annotations
@@ -28,7 +28,10 @@ from simfoundry.spec.models.task import Reset, Start, TaskSpec, with_starts
 
 @dataclass(frozen=True, eq=False)
 class TaskSetup:
-    """The documents of a ``task`` and its ``scene``, and the ``step`` at which it starts, empty for the first."""
+    """The documents of a ``task`` and its ``scene``.
+
+    ``step`` is the step at which the task starts, or an empty string for the first step.
+    """
 
     task: Loaded
     scene: Loaded
@@ -37,31 +40,34 @@ class TaskSetup:
 
     @property
     def task_spec(self) -> TaskSpec:
-        """The task's document."""
+        """The task document."""
         assert isinstance(self.task.spec, TaskSpec)
         return self.task.spec
 
     @property
     def scene_spec(self) -> SceneSpec:
-        """The scene's document."""
+        """The scene document."""
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
     @property
     def starts(self) -> dict[tuple[str, ...], Start]:
-        """Changes to the scene in order of application, by their paths in the task."""
+        """Changes to the scene in the order in which they are applied, by their path in the task."""
         own = self.task_spec.subtasks[self.step].start if self.step else None
         return {("start",): self.task_spec.start} | ({("subtasks", self.step, "start"): own} if own else {})
 
     @property
     def put_by_step(self) -> frozenset[str]:
-        """Names of the objects that the step's own start places."""
+        """Names of the objects that are placed by the step's own start."""
         own = self.starts.get(("subtasks", self.step, "start"))
         return frozenset((*own.place, *own.pose)) if own else frozenset()
 
     @cached_property
     def started(self) -> SceneSpec:
-        """The scene's document with the starts applied; relations that they break are removed."""
+        """The scene document after applying the starts.
+
+        Relations that the starts may invalidate are removed, and relations for the new placements are added.
+        """
         spec, starts = with_starts(self.scene_spec, self.starts.values()), self.starts.values()
         moved = {name for start in starts for name in (*start.place, *start.pose)}
         turned = {name for start in starts for name in start.joints}
@@ -71,8 +77,10 @@ class TaskSetup:
         return spec.model_copy(update={"relations": (*kept, *stood)})
 
     def lowered(self) -> Scene:
-        """Lower the scene as the task starts; raises :class:`SpecError`, with places in the task if its start is at
-        fault.
+        """Lower the scene in the task's initial state.
+
+        Raises:
+            SpecError: If the scene is invalid; errors caused by the task's start refer to locations in the task.
         """
         try:
             return lower(replace(self.scene, spec=self.started), self.cache)
@@ -80,14 +88,14 @@ class TaskSetup:
             raise SpecError([self._placed_in_task(d) for d in error.diagnostics]) from None
 
     def carriers(self) -> dict[str, str]:
-        """Supporting object of each object, if stated by the documents."""
+        """Return the supporting object of each object for which the documents specify one."""
         calls = [parse_call(text) for text in self.started.relations]
         found = {c.args[0]: c.args[1].partition(".")[0] for c in calls if c.predicate in ("OnTop", "Inside")}
         placed = {name: _carrier(item) for name, item in self.started.objects.items()}
         return found | {name: carrier for name, carrier in placed.items() if carrier}
 
     def _placed_in_task(self, finding: Diagnostic) -> Diagnostic:
-        """Relocate a finding to the place in the task that placed the object, if there is one."""
+        """Relocate a finding to the entry in the task that placed the object, if there is one."""
         parts = finding.path.split(".")
         if finding.code == "SF210" and len(parts) == 3:
             for path, start in reversed(self.starts.items()):
@@ -103,26 +111,28 @@ def _carrier(item: ObjectSpec) -> str:
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
-    """Return whether moving these objects, or their joints, may break a relation."""
+    """Return True if moving these objects, or their joints, may break a relation."""
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
 
 
-_FORM = "docs/robots.md, *Models of your own*, has the form"
+_FORM = "the format is described in docs/robots.md, *Your own models*"
 
 
 def check_can_act(robot: Robot) -> None:
-    """Raise :class:`RobotModelError` if a robot's model lacks an identifiable hand or an actuator for one of its
-    joints.
+    """Check that a robot's model has an identifiable hand and a position actuator for each arm joint.
 
-    Observations and actions are defined in terms of these, so there is no substitute.
+    Observations and actions are defined in terms of these, so they are required.
+
+    Raises:
+        RobotModelError: If the hand cannot be identified or a joint has no position actuator.
     """
     native = mujoco_model(robot)
     if native is None:
         raise RobotModelError(
             f"robot `{robot.name}` has only a USD model; rollouts need its hand and joints from an "
-            "MJCF or URDF, so add one"
+            "MJCF or URDF model, so add one"
         )
     read = read_robot(robot, native, f"{robot.name}.")
     try:
@@ -137,13 +147,13 @@ def check_can_act(robot: Robot) -> None:
     for joint in native.joints.values() or [_own(read, read.model.joint(k)) for k in range(read.model.njnt)]:
         if joint not in driven:
             raise RobotModelError(
-                f"robot `{robot.name}` cannot be position-controlled: no position actuator of {native.file.name} "
+                f"robot `{robot.name}` cannot be position-controlled: no position actuator in {native.file.name} "
                 f"drives its joint `{joint}`; add one, or list the arm's joints under `joints` in a robot file; {_FORM}"
             )
 
 
 def _leaf(read: MujocoRobot) -> str:
-    """Return the link farthest along the robot, which is most often its hand."""
+    """Return the link farthest down the kinematic chain, which is usually the hand."""
     depth = [0]
     for body in range(1, read.model.nbody):
         depth.append(depth[int(read.model.body_parentid[body])] + 1)
@@ -152,12 +162,12 @@ def _leaf(read: MujocoRobot) -> str:
 
 
 def _own(read: MujocoRobot, named: Any) -> str:
-    """Return the robot's own name of a body or joint of its model."""
+    """Return a body's or joint's name within the robot model, without the scene prefix."""
     return str(named.name.removeprefix(read.prefix))
 
 
 def _driven(read: MujocoRobot) -> set[str]:
-    """Return the joints driven by a position actuator, by the model's names."""
+    """Return the names, within the model, of the joints that are driven by a position actuator."""
     import mujoco
 
     model, found = read.model, set()
@@ -170,8 +180,9 @@ def _driven(read: MujocoRobot) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class SubtaskGoal:
-    """A step: ``goal``, and the instruction if the step is done alone; ``starts_itself`` if it has a start of
-    its own.
+    """A step of a task.
+
+    ``instruction`` is used if the step is run alone; ``starts_itself`` is True if the step defines its own start.
     """
 
     name: str
@@ -182,11 +193,16 @@ class SubtaskGoal:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A task in its lowered scene, in the state in which the task starts.
+    """A task in its lowered scene, in the initial state of the task.
 
-    ``robots`` act, in the order of an action; ``subtasks`` are in the document's order. ``reset`` has the regions of
-    objects that differ from start to start; ``carriers`` maps each object to its support, with which it moves along.
-    ``control_hz`` [Hz] and ``horizon`` [control steps]. ``step`` is the sub-task that this is, empty for the whole.
+    Attributes:
+        robots: The robots that act, in the order in which their parts appear in an action.
+        subtasks: The steps, in the order of the document.
+        reset: The regions of the objects whose initial pose varies.
+        carriers: The support of each object, by name; an object moves together with its support.
+        control_hz: The control frequency [Hz].
+        horizon: The maximum number of control steps.
+        step: The sub-task that this task represents, or an empty string for the whole task.
     """
 
     name: str
@@ -204,23 +220,28 @@ class Task:
 
     @cached_property
     def missing_robots(self) -> Mapping[str, str]:
-        """Robots that should act but have no model here, each with the reason."""
+        """Robots that should act but whose model was not found, each with the reason."""
         known = {robot.name for robot in self.scene.robots}
         reasons = {left.path.removeprefix("robots."): left.reason for left in self.scene.left_out}
         return {name: reasons.get(name, "no model found") for name in self.robots if name not in known}
 
     def alone(self, name: str) -> Task:
-        """Return one step as a task: it starts as the step's ``start`` defines and ends with the step's goal.
+        """Return a single step as a task, with the initial state and the goal of that step.
 
-        Objects placed by that start stay there; the others start in their cells. Raises :class:`SimfoundryError` for an
-        unknown step.
+        Objects placed by the step's ``start`` keep that placement; the other objects are placed in their cells.
+
+        Raises:
+            SimfoundryError: If the step does not exist.
         """
         step = self._subtask(name)
         own = MappingProxyType({name: step})
         return replace(self._from(name), instruction=step.instruction, goal=step.goal, subtasks=own)
 
     def onward(self, name: str) -> Task:
-        """Return the rest of the task from a step on: it starts like that step, and has the goal of the whole task."""
+        """Return the rest of the task from a step onward.
+
+        It has the initial state of that step and the goal of the whole task.
+        """
         self._subtask(name)
         names = list(self.subtasks)
         rest = {n: self.subtasks[n] for n in names[names.index(name) :]}
@@ -228,7 +249,7 @@ class Task:
 
     def _subtask(self, name: str) -> SubtaskGoal:
         if name not in self.subtasks:
-            hint = nearest(name, self.subtasks) or "it has none"
+            hint = nearest(name, self.subtasks) or "it has no sub-tasks"
             raise SimfoundryError(f"task `{self.name}` has no sub-task `{name}`; {hint}")
         return self.subtasks[name]
 
@@ -246,9 +267,14 @@ class Task:
 
 
 def load_task(path: Path, cache: Cache | None = None) -> Task:
-    """Load the task of a document. Raises :class:`SpecError` with every finding, including those of its scene.
+    """Load a task from its document.
 
-    ``cache`` stores convex decompositions between runs.
+    Args:
+        path: The task document.
+        cache: A cache that stores convex decompositions between runs.
+
+    Raises:
+        SpecError: If the task or its scene is invalid; the error contains all findings.
     """
     loaded = load_kind(path, "task/1")
     spec = loaded.spec
@@ -278,10 +304,10 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
 
 
 def need_robots(task: Task) -> None:
-    """Raise :class:`SimfoundryError` if a robot that should act is missing, or its model cannot be controlled."""
+    """Raise :class:`SimfoundryError` if a robot that should act is missing or cannot be controlled."""
     if not task.robots:
-        raise SimfoundryError(f"task `{task.name}` has no robot to act: its scene has none")
+        raise SimfoundryError(f"task `{task.name}` needs a robot, but its scene does not contain any")
     for name, reason in task.missing_robots.items():
-        raise SimfoundryError(f"task `{task.name}` needs robot `{name}`, which is left out: {reason}")
+        raise SimfoundryError(f"task `{task.name}` needs robot `{name}`, which is not available: {reason}")
     for name in task.robots:
         check_can_act(task.scene.robot(name))

@@ -1,1 +1,1 @@
-"""Importers from other formats to specs: URDF, MJCF, USD, BDDL, and OmniGibson scenes and tasks."""
+"""Importers that convert URDF, MJCF, USD, BDDL and OmniGibson files to SimFoundry documents."""

@@ -1,4 +1,4 @@
-"""Convert drafts to documents: an asset for each body, or a scene that uses them, together with mesh files."""
+"""Convert drafts to asset and scene documents, together with their mesh files."""
 
 from __future__ import annotations
 
@@ -33,22 +33,25 @@ from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
 DIGITS = 9
-"""Significant digits of imported numbers: more than any simulator keeps, but without rounding noise."""
+"""Number of significant digits in imported numbers: more than any simulator keeps, but without rounding noise."""
 
 NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
-"""Positions [m] and parts of quaternions below these are rounding noise of double precision."""
+"""Positions [m] and quaternion components below these values are rounding noise in double precision."""
 
 
 @dataclass
 class BuiltDocuments:
-    """Documents by file name, the requested one first, and other files; names are relative to its folder."""
+    """Documents and other files by path, with the requested document first.
+
+    Paths are relative to the folder that contains the requested document.
+    """
 
     documents: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
-    """Renamed elements: the name in the file, qualified by its body, and the name in the documents."""
+    """New names of renamed elements, keyed by their names in the file; links and joints are qualified by their body."""
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
-    """Draft of each part, by the names of asset, link, and part in the documents."""
+    """The drafts of each part and its link, keyed by the names of asset, link, and part in the documents."""
 
 
 def rounded(value: Any) -> Any:
@@ -61,12 +64,12 @@ def rounded(value: Any) -> Any:
 
 
 def document_text(spec: Model) -> str:
-    """Return the canonical text of a document, with all digits of its numbers."""
+    """Return the canonical text of a document, with numbers rounded to :data:`DIGITS` significant digits."""
     return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
 
 
 def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """Return a pose as document data, with the simplest representation of its rotation."""
+    """Return a pose as document data, using the simplest possible representation of its rotation."""
     out: dict[str, Any] = {}
     if np.abs(X_AB.p).max() > NO_LENGTH_M:
         out["xyz"] = tuple(X_AB.p.tolist())
@@ -83,27 +86,30 @@ def pose_data(X_AB: Pose) -> dict[str, Any]:
 
 
 def color_data(color: Rgba) -> tuple[float, ...]:
-    """Return a color rounded to display precision, which removes the noise of single precision."""
+    """Return a color rounded to four decimals, which removes single-precision noise, and without an alpha of 1."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
 
 
 def relative_path(file: Path, document: Path) -> str:
-    """Return the path of a file relative to a document."""
+    """Return the path of a file relative to the folder of a document."""
     return Path(os.path.relpath(file.resolve(), document.resolve().parent)).as_posix()
 
 
 Data = dict[str, Any]
 
 LINK_KEYS = {"friction", "restitution"}
-"""Keys of contact parameters that a link may set without a material."""
+"""Contact parameters that a link can set without a material."""
 
 PLAIN_INERTIA = 1e-6
-"""Relative tolerance for treating an inertia as that of the shape; files have six or more digits."""
+"""Relative tolerance for treating an inertia as the shape's inertia; files have six or more digits."""
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.asset.yaml, to lie in the folder ``base``, from a draft of one body."""
+    """Build NAME.asset.yaml for the folder ``base`` from a draft with one body.
+
+    Mesh files below ``root`` are referenced in place instead of being copied.
+    """
     built = BuiltDocuments()
     shelf = FileShelf(base, f"{name}_files", root, built.files)
     spec = _asset_spec(draft.bodies[0], plain_name(name), shelf, built)
@@ -112,12 +118,15 @@ def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> 
 
 
 def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
-    """Build NAME.scene.yaml, to lie in the folder ``base``, with an asset for each body that needs one."""
+    """Build NAME.scene.yaml for the folder ``base``, with an asset document for each body that needs one.
+
+    Mesh files below ``root`` are referenced in place instead of being copied.
+    """
     return _SceneBuilder(draft, f"{name}_files", base, root).build(name)
 
 
 class _SceneBuilder:
-    """State of building a scene from a draft; ``assets`` contains its asset documents by object name."""
+    """Builds a scene from a draft; ``assets`` contains the asset documents by object name."""
 
     def __init__(self, draft: ModelDraft, folder: str, base: Path, root: Path | None) -> None:
         self.draft, self.folder, self.built = draft, folder, BuiltDocuments()
@@ -125,7 +134,7 @@ class _SceneBuilder:
         self.names = NameTable()
         self.assets: dict[str, AssetSpec] = {}
         self.objects: dict[str, str] = {}
-        """Names of objects by the names of their bodies."""
+        """Object names by body name."""
         self.bodies = {body.name: body for body in draft.bodies}
 
     def build(self, name: str) -> BuiltDocuments:
@@ -152,7 +161,7 @@ class _SceneBuilder:
         return built
 
     def object_data(self, body: BodyDraft, called: str) -> Data:
-        """Return an object: with an inline shape if it has only one, else with an asset document."""
+        """Return the data of an object, with an inline shape if possible and otherwise with an asset document."""
         inline = inline_data(body)
         if inline is not None:
             return inline
@@ -166,14 +175,14 @@ class _SceneBuilder:
         return data | _without_empty({"joints": {name: state for name, state in states.items() if state}})
 
     def link_path(self, body: str, link: str) -> str:
-        """Return ``object.link`` for a link, or only the object if it has no asset document."""
+        """Return the path ``object.link`` of a link, or only the object's name if the object has an inline shape."""
         called = self.objects[body]
         if called not in self.assets:
             return called
         return f"{called}.{list(self.assets[called].links)[self.bodies[body].link_order.index(link)]}"
 
     def no_contact(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs without contact: pairs of whole objects if all of their links are excluded."""
+        """Return the pairs that do not collide, as pairs of objects if all of their links are excluded."""
         pairs: dict[tuple[str, str], list[tuple[LinkPath, LinkPath]]] = {}
         for one, other in self.draft.no_contact:
             pairs.setdefault((one[0], other[0]), []).append((one, other))
@@ -193,7 +202,7 @@ class _SceneBuilder:
             data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
             if camera.mount is not None:
                 body, link = camera.mount
-                if body not in self.objects:  # a robot, whose frames have their own names
+                if body not in self.objects:  # a robot, whose frame names are not changed
                     data["mount"] = f"{body}.{link}" if link else body
                 else:
                     is_root = link == self.bodies[body].root
@@ -275,7 +284,7 @@ def _mass_data(link: LinkDraft) -> Data:
 
 
 def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
-    """Return the contact parameters shared by all parts of a link; None if they differ or require a material."""
+    """Return the contact parameters shared by all parts of a link, or None if they differ or require a material."""
     found = [_contact_data(part, link) for part in link.colliders]
     if not found:
         return {}
@@ -284,19 +293,25 @@ def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
 
 
 def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """Return the contact parameters of a part, or else of its link; zero torsional and rolling friction is omitted."""
+    """Return the contact parameters of a part, which default to the parameters of its link.
+
+    Torsional and rolling friction are omitted if they are zero.
+    """
     return {key: v for key, v in (link.contact | part.contact).items() if v or key in LINK_KEYS}
 
 
 def _material_name(data: dict[str, float], materials: Data) -> str:
-    """Return the name of a material with these parameters; the material is added if there is none."""
+    """Return the name of a material with these parameters, adding the material if it does not exist yet."""
     name = next((n for n, known in materials.items() if known == data), f"surface_{len(materials) + 1}")
     materials[name] = data
     return name
 
 
 def part_names(link: LinkDraft) -> Iterator[str]:
-    """Yield a name for each part; none starts with the name of a mesh of the same use, whose pieces are numbered."""
+    """Yield a unique name for each part.
+
+    Pieces of a mesh are numbered, so no name may start with the name of a mesh of the same use and an underscore.
+    """
     taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
@@ -307,7 +322,10 @@ def part_names(link: LinkDraft) -> Iterator[str]:
 
 
 def _clash(one: tuple[str, PartDraft], other: tuple[str, PartDraft]) -> bool:
-    """Return True if two parts, or their pieces, would share a name; visuals and colliders are named separately."""
+    """Return True if the names of two parts or of their pieces conflict.
+
+    Visual and collision parts are in separate namespaces.
+    """
     (short, mesh), (long, part) = sorted((one, other), key=lambda named: len(named[0]))
     alike = mesh.use == part.use or "both" in (mesh.use, part.use)
     return short == long or (alike and isinstance(mesh.geometry, MeshDraft) and long.startswith(f"{short}_"))
@@ -354,7 +372,7 @@ def _placement(body: BodyDraft) -> Data:
 
 
 def inline_data(body: BodyDraft) -> Data | None:
-    """Return a body with one shape as an object with an inline shape; None for other bodies."""
+    """Return the data of an object with an inline shape, or None if the body requires an asset document."""
     if body.joints or len(body.links) != 1:
         return None
     (link,) = body.links.values()
@@ -379,7 +397,7 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
-    """Return True if the inertia of a link is that of its only shape at uniform density."""
+    """Return True if the inertia of a link equals the inertia of its only shape at uniform density."""
     from simfoundry.scene.bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)

@@ -1,7 +1,7 @@
-"""Drafts: the intermediate form between imported files and documents, with links, joints, and parts in SI units.
+"""Drafts: the intermediate representation between imported files and documents, in SI units.
 
-Drafts are mutable while a file is read, and use the names in the file; :class:`NameTable` converts them to names of
-documents.
+Drafts are mutable while a file is being read. They use the names in the file, which :class:`NameTable` converts to
+valid document names.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from simfoundry.spec.models.base import WORLD, BoxShape, CapsuleShape, CylinderS
 from simfoundry.spec.models.robot import RobotSpec
 
 LONGEST = 64
-"""Largest length of a name in documents."""
+"""Maximum length of a name in documents [characters]."""
 
 
 def plain_name(text: str, otherwise: str = "thing") -> str:
-    """Return the valid document name that is closest to a text."""
+    """Convert a text to a similar valid document name, or to ``otherwise`` if it has no letters or digits."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
     ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
     name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
@@ -39,9 +39,10 @@ def plain_name(text: str, otherwise: str = "thing") -> str:
 
 
 class NameTable:
-    """Unique names for the elements of one kind; ``renamed`` contains names that had to change.
+    """Assigns unique document names to elements of one kind.
 
-    The name ``world`` is never used, because formats reserve it for the static world.
+    ``renamed`` maps original names to new names if they differ. The name ``world`` is never assigned because other
+    formats reserve it for the static world.
     """
 
     def __init__(self, otherwise: str = "thing") -> None:
@@ -50,7 +51,7 @@ class NameTable:
         self.renamed: dict[str, str] = {}
 
     def name(self, text: str) -> str:
-        """Return a unique name for an element called ``text``."""
+        """Return and reserve a unique name for an element called ``text``."""
         plain = plain_name(text, self.otherwise)
         name, count = plain, 1
         while name in self.taken:
@@ -63,41 +64,45 @@ class NameTable:
 
 
 UNLIMITED_SLIDE_M = 1000.0
-"""Limits [m] that represent none: far beyond any table, and small enough for single precision."""
+"""Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision."""
 
 GROUND = (20.0, 20.0, 0.1)
-"""Size [m] of the box that represents an infinite plane, with its top in the plane: the maximum in documents, and thick
-enough that nothing tunnels through it."""
+"""Size [m] of the box that represents an infinite plane.
+
+Its width and depth are the maximum allowed in documents, and it is thick enough to prevent tunneling.
+"""
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
 LinkPath = tuple[str, str]
-"""Names of a body and of one of its links."""
+"""The name of a body and the name of one of its links."""
 
 Contact = dict[str, float]
-"""Specified contact parameters by their keys in a material: ``friction``, ``restitution``, and ``torsional_friction``
-and ``rolling_friction`` [m]."""
+"""Contact parameters that a file specifies, by material key.
+
+The keys are ``friction``, ``restitution``, ``torsional_friction`` [m] and ``rolling_friction`` [m].
+"""
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import: package folders by name, and whether existing files are overwritten."""
+    """Import options: ``packages`` maps package names to folders, and ``force`` allows replacing existing files."""
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     force: bool = False
     scene: Path | None = None
-    """Scene document of an imported task."""
+    """Scene document for an imported task."""
     bound: Mapping[str, str] = field(default_factory=dict)
-    """Objects of that scene by their names in a BDDL task."""
+    """Scene objects that the user assigned to names in a BDDL task."""
     density: float | None = None
-    """Density [kg/m^3] of links without a mass; None for the density of water, the default of simulators."""
+    """Density [kg/m^3] of links without a mass; None for the density of water, which simulators use by default."""
 
 
 DEFAULTS = ImportOptions()
 
 
 class ImportNoteKind(StrEnum):
-    """Kinds of differences between the file and the documents."""
+    """Kinds of differences between an imported file and its documents."""
 
     DROPPED = "dropped"
     CHANGED = "changed"
@@ -106,9 +111,9 @@ class ImportNoteKind(StrEnum):
 
 @dataclass(frozen=True)
 class ImportNote:
-    """Element that could not be imported unchanged.
+    """A note on an element that could not be imported unchanged.
 
-    ``what`` identifies it in the file, ``why`` is the reason, which is the same for all elements of that kind, and
+    ``what`` identifies the element in the file, ``why`` is the reason, which is the same for all similar elements, and
     ``detail`` is specific to this element.
     """
 
@@ -124,10 +129,10 @@ class ImportNote:
 
 @dataclass(eq=False)
 class MeshDraft:
-    """Mesh file with its associated files.
+    """A mesh file and its associated files, such as materials and textures.
 
-    ``files`` contains names and bytes, the mesh first; ``scale`` is in meters per unit; ``source`` is the original file
-    if it is identical to the first one, so that a document nearby can refer to it directly.
+    ``files`` maps file names to contents, with the mesh first, and ``scale`` is in meters per unit. ``source`` is the
+    original file if its content is unchanged, so a document in the same project can refer to it directly.
     """
 
     files: dict[str, bytes]
@@ -137,7 +142,7 @@ class MeshDraft:
 
 @dataclass(eq=False)
 class PartDraft:
-    """Part of a link with its pose in the link frame; ``use`` is `both`, `visual` or `collision`."""
+    """A part of a link and its pose in the link frame; ``use`` is `both`, `visual` or `collision`."""
 
     name: str
     geometry: PrimitiveShape | MeshDraft
@@ -154,10 +159,10 @@ class PartDraft:
 
 @dataclass(eq=False)
 class LinkDraft:
-    """Rigid body.
+    """A rigid body.
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2] (about the center of mass, in link axes) are None if the file
-    does not specify them; the mass then follows from ``density`` [kg/m^3] and the parts.
+    does not specify them. A missing mass is computed from ``density`` [kg/m^3] and the parts.
     """
 
     name: str
@@ -169,7 +174,7 @@ class LinkDraft:
     contact: Contact = field(default_factory=dict)
     collision: str = "hull"
     assumed: str = ""
-    """Author of an assumed mass or density if the file has none."""
+    """Source recorded in the document for an assumed mass or density; empty if the file specifies it."""
 
     @property
     def colliders(self) -> list[PartDraft]:
@@ -179,10 +184,12 @@ class LinkDraft:
 
 @dataclass(eq=False)
 class JointDraft:
-    """Joint at the origin of its child; ``X_PC`` is the child frame in the parent frame at zero, ``axis`` in the child.
+    """A joint located at the origin of its child link.
 
-    ``type`` is fixed, revolute, continuous, prismatic, ball, or free; ``limits`` are in rad or m; ``closed`` is the
-    limit at which the joint is closed, `lower` or `upper`, if the file specifies it.
+    ``X_PC`` is the pose of the child frame in the parent frame at joint position zero, and ``axis`` is expressed in the
+    child frame. ``type`` is fixed, revolute, continuous, prismatic, ball, or free. ``limits`` and ``position`` are in
+    radians or meters. ``closed`` is the limit at which the joint is closed, `lower` or `upper`, or None if the file
+    does not specify it.
     """
 
     name: str
@@ -200,12 +207,15 @@ class JointDraft:
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
-    """State of a ball or free joint: the pose of the child frame relative to its zero pose."""
+    """State of a ball or free joint, given as the pose of the child frame relative to its zero pose."""
 
 
 @dataclass(eq=False)
 class BodyDraft:
-    """Object with one or more links; ``root`` is the root link, ``X_WO`` the pose of its frame in the world."""
+    """An object with one or more links.
+
+    ``root`` is the name of the root link, and ``X_WO`` is the pose of that link's frame in the world.
+    """
 
     name: str
     root: str
@@ -217,23 +227,26 @@ class BodyDraft:
     no_contact: list[tuple[str, str]] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     note: str = ""
-    """Note on its origin, for users and for tasks that refer to this name."""
+    """Note on the object's origin, for users and for tasks that refer to the object by its original name."""
     exact: bool = False
-    """True if its names are valid scene names and must be kept unchanged."""
+    """True if all names in this body come from a scene and must be kept unchanged."""
 
     def carrier(self, link: str) -> JointDraft | None:
-        """Return the parent joint of a link."""
+        """Return the joint that connects a link to its parent, or None for the root link."""
         return next((j for j in self.joints if j.child == link), None)
 
     @property
     def link_order(self) -> list[str]:
-        """Return the names of the links, the root first."""
+        """Return the link names, with the root first."""
         return [self.root, *(name for name in self.links if name != self.root)]
 
 
 @dataclass(eq=False)
 class CameraDraft:
-    """Pinhole camera: size, focal lengths, and principal point [px]; the pose uses the OpenCV axes."""
+    """A pinhole camera.
+
+    The image size, focal lengths, and principal point are in pixels, and the pose uses OpenCV axes.
+    """
 
     name: str
     size: tuple[int, int]
@@ -243,12 +256,12 @@ class CameraDraft:
     cx: float | None = None
     cy: float | None = None
     mount: LinkPath | None = None
-    """Body and link to which the camera is attached; its pose is then in the link frame."""
+    """Body and link to which the camera is attached; the pose is then expressed in the link frame."""
 
 
 @dataclass(eq=False)
 class LightDraft:
-    """Light of a scene."""
+    """A light in a scene."""
 
     name: str
     type: str
@@ -260,7 +273,10 @@ class LightDraft:
 
 @dataclass(eq=False)
 class RobotDraft:
-    """Known robot, with the pose of its base and the fields that differ from the defaults."""
+    """A known robot with the pose of its base.
+
+    ``changed`` contains the fields that differ from the model's defaults.
+    """
 
     name: str
     model: str
@@ -270,7 +286,7 @@ class RobotDraft:
 
 @dataclass(eq=False)
 class ModelDraft:
-    """Content of one file, with ``notes`` on elements that documents cannot express."""
+    """The content of an imported file; ``notes`` lists all differences between the file and the documents."""
 
     name: str
     format: str
@@ -281,47 +297,50 @@ class ModelDraft:
     gravity: tuple[float, float, float] | None = None
     relations: list[str] = field(default_factory=list)
     background: MeshDraft | None = None
-    """Visual background, in the world frame."""
+    """Visual background mesh, expressed in the world frame."""
     no_contact: list[tuple[LinkPath, LinkPath]] = field(default_factory=list)
-    """Pairs of links of different bodies without contact."""
+    """Pairs of links in different bodies that do not collide."""
     notes: list[ImportNote] = field(default_factory=list)
     density: float | None = None
-    """Density [kg/m^3] that the user sets for links without a mass; None for the default of the format."""
+    """Density [kg/m^3] set by the user for links without a mass; None for the format's default."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
         """Record an element that is omitted."""
         self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
     def inexpressible(self, what: str, detail: str = "") -> None:
-        """Record an element that is omitted because the scene language has no construct for it."""
+        """Record an element that is omitted because the scene language cannot express it."""
         self.dropped(what, "the scene language cannot express it", detail)
 
     def changed(self, what: str, why: str, detail: str = "") -> None:
-        """Record an element that is expressed differently than in the file."""
+        """Record an element that is expressed differently in the documents than in the file."""
         self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
 
     def assumed(self, what: str, why: str, detail: str = "") -> None:
-        """Record a value that the file does not specify and that is assumed."""
+        """Record a value that is assumed because the file does not specify it."""
         self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
 
     def plane(self, what: str, width: float = 0.0, depth: float = 0.0) -> tuple[BoxShape, Pose]:
-        """Return a box that represents a plane, infinite along zero sizes [m], and its pose in the plane's frame."""
+        """Return a box that represents a plane, and its pose in the plane's frame.
+
+        ``width`` and ``depth`` [m] are the size of the plane; zero means infinite.
+        """
         box = (width or GROUND[0], depth or GROUND[1], GROUND[2])
-        self.changed(what, f"a box of {box[0]:g} x {box[1]:g} m stands for it")
+        self.changed(what, f"it is represented by a box of {box[0]:g} x {box[1]:g} m")
         return BoxShape(box=box), Pose.of([0, 0, -GROUND[2] / 2])
 
     def unlimited_slide(self, what: str) -> tuple[float, float]:
-        """Return limits [m] for a prismatic joint without limits, because documents require them."""
-        self.changed(what, f"it has no limits; {UNLIMITED_SLIDE_M:g} m to either side stand for that")
+        """Return limits [m] for a prismatic joint that has none, because documents require limits."""
+        self.changed(what, f"it has no limits, so they are set to ±{UNLIMITED_SLIDE_M:g} m")
         return -UNLIMITED_SLIDE_M, UNLIMITED_SLIDE_M
 
     def free_name(self, wish: str) -> str:
-        """Return a name for another body: ``wish``, with a number appended if a body already has that name."""
+        """Return an unused body name: ``wish``, with a number appended if another body already has that name."""
         return free_name(wish, {body.name for body in self.bodies})
 
 
 def free_name(wish: str, taken: set[str] | list[str]) -> str:
-    """Return ``wish``, with a number appended if the name is taken."""
+    """Return ``wish``, with a number appended if that name is already taken."""
     name, count = wish, 1
     while name in taken:
         count += 1
@@ -330,15 +349,25 @@ def free_name(wish: str, taken: set[str] | list[str]) -> str:
 
 
 def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:
-    """Return a robot with the fields that differ from its model; raises :class:`ImportRefusedError`."""
+    """Return a draft of a robot from a compiled file.
+
+    Args:
+        path: File for error messages.
+        name: Name of the robot.
+        words: Robot data from the compiled file.
+        X_WB: Pose of the robot's base in the world.
+
+    Raises:
+        ImportRefusedError: If the data is invalid or the robot model is unknown.
+    """
     try:
         spec = RobotSpec.model_validate(words)
     except ValidationError as error:
         reason = error.errors()[0]["msg"]
-        raise ImportRefusedError(path, f"robot `{name}` is not as compiled files have it: {reason}") from None
+        raise ImportRefusedError(path, f"robot `{name}` has invalid data for a compiled file: {reason}") from None
     known = spec.known()
     if known is None or not isinstance(spec.model, str):
-        raise ImportRefusedError(path, f"robot `{name}` is of a kind that is not known: {spec.model!r}")
+        raise ImportRefusedError(path, f"robot `{name}` has an unknown model: {spec.model!r}")
     usual = {"joints": dict(known.home), "reach": known.reach, "opening": known.opening}
     given = spec.model_dump(include=set(usual), exclude_none=True)
     changed = {field: value for field, value in given.items() if value != usual[field] and value != "home"}

@@ -1,4 +1,4 @@
-"""Errors for files that cannot be imported, including internal errors of an importer."""
+"""Errors for files that cannot be imported, including internal errors in an importer."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 
 LONGEST_MESSAGE = 200
-"""Longest part of a library's error message that is shown [characters]; some print whole arrays."""
+"""Maximum length of a library's error message in our messages [characters]; some libraries print entire arrays."""
 
 MAX_BYTES = 50_000_000
-"""Largest file [bytes] that is searched for a line number."""
+"""Maximum size of a file [bytes] that is searched for a line number."""
 
 
 class ImportRefusedError(SimfoundryError):
-    """Error for a file that cannot be imported, with location, reason, and remedy."""
+    """Raised if a file cannot be imported; includes the location, the reason, and a hint for the user."""
 
     def __init__(self, file: Path | str, message: str, line: int = 0, hint: str = "") -> None:
         place = f"{file}:{line}" if line else str(file)
@@ -38,38 +38,41 @@ class ImportRefusedError(SimfoundryError):
 def refusing_faults(file: Path) -> Iterator[None]:
     """Convert unexpected errors during the import of ``file`` to :class:`ImportRefusedError`.
 
-    Errors of SimFoundry and of the operating system are passed through.
+    Errors raised by SimFoundry and by the operating system are not converted.
     """
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # overflows are reported where the numbers are used
+        with np.errstate(over="ignore", invalid="ignore"):  # invalid numbers are reported when they are used
             yield
     except (SimfoundryError, SpecError, ModuleNotFoundError):
         raise
     except MeshError as error:
         raise ImportRefusedError(file, str(error), _line(file, error), error.hint) from error
-    except ValidationError as error:  # values of the file are copied unchanged and may be invalid in a document
+    except ValidationError as error:  # values are copied unchanged and may be invalid in a document
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot hold that: {first['msg']}"
+        message = f"its `{where}` is {first.get('input')!r:.60}, which is invalid in a document: {first['msg']}"
         raise ImportRefusedError(file, message, _line(file, error), "check its numbers and names") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         shown = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_MESSAGE]
-        message = f"the importer failed on it, which is a fault of simfoundry ({shown}{_place(error)})"
-        hint = "please report it with this file, and remove what stands here until then"
+        message = f"the importer failed because of a bug in simfoundry ({shown}{_place(error)})"
+        hint = "please report it together with this file; until it is fixed, remove the element at this line"
         raise ImportRefusedError(file, message, _line(file, error), hint) from error
 
 
 def _place(error: Exception) -> str:
-    """Return the line of SimFoundry code that raised an error."""
+    """Return the line of SimFoundry code that raised an error, formatted for a message; empty if unknown."""
     root = Path(simfoundry.__file__).parent
     frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
     return f", at {Path(frames[-1].filename).relative_to(root).as_posix()}:{frames[-1].lineno}" if frames else ""
 
 
 def _line(file: Path, error: Exception) -> int:
-    """Return the line of ``file`` that was being read: of the current element, else of a named one; 0 if unknown."""
+    """Return the line of ``file`` that was being read when an error occurred; 0 if unknown.
+
+    This is the line of the XML element being read, or otherwise the first line with the name of an affected element.
+    """
     from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
     from simfoundry.frontends.files import Element
 

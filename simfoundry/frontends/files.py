@@ -1,8 +1,9 @@
-"""Read untrusted files: bounded XML with line numbers, bounded JSON, and the files that they refer to.
+"""Read untrusted XML and JSON files of limited size, and find the files that they refer to.
 
-XML is read with Expat, because neither lxml nor defusedxml is suitable: of 2,380 public files, lxml rejects 28 that
-simulators load (26 files of PyBullet declare XML 0.0, two COLLADA files have texts of over 10 MB), and it reports the
-last line of a tag rather than the first; defusedxml, like lxml, handles namespaces and rejects undeclared prefixes.
+This module parses XML with Expat because neither lxml nor defusedxml is suitable. Among 2,380 public files, lxml
+rejects 28 that simulators accept (26 PyBullet files declare XML 0.0, and two COLLADA files contain text nodes larger
+than 10 MB). It also reports the last line of a tag rather than the first. Like lxml, defusedxml processes namespaces
+and therefore rejects undeclared prefixes.
 """
 
 from __future__ import annotations
@@ -20,19 +21,21 @@ from xml.parsers import expat
 from simfoundry.frontends.errors import ImportRefusedError
 
 MAX_XML_BYTES, MAX_JSON_BYTES = 50_000_000, 100_000_000
-"""Largest file sizes [bytes], which bound memory use: the largest of 2,380 public XML models has 21 MB, and the largest
-scene of OmniGibson 3 MB."""
+"""Maximum file sizes [bytes], which limit memory use.
+
+The largest of 2,380 public XML models has 21 MB, and the largest OmniGibson scene has 3 MB.
+"""
 
 MAX_ELEMENTS = 500_000
-"""Largest number of elements, which takes a second and 200 MB; the largest public model has a tenth of them."""
+"""Maximum number of elements, which take a second and 200 MB; the largest public model has a tenth of that."""
 
 MAX_DEPTH = 200
-"""Largest nesting depth; a chain of bodies in MJCF has one level per joint."""
+"""Maximum nesting depth; a kinematic chain in MJCF has one level per body."""
 
 
 @dataclass(eq=False)
 class Element:
-    """Element of an XML file, with the line where it starts."""
+    """An element in an XML file and the line on which it starts."""
 
     file: Path
     tag: str
@@ -41,36 +44,36 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def refused(self, message: str, hint: str = "") -> ImportRefusedError:
-        """Return an error at this element."""
+        """Return an error that points to this element."""
         return ImportRefusedError(self.file, message, self.line, hint)
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Return the children with a tag."""
+        """Return the children with the given tag."""
         return (child for child in self.children if child.tag == tag)
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child with a tag."""
+        """Return the first child with the given tag, or None."""
         return next(self.all(tag), None)
 
     def walk(self) -> Iterator[Element]:
-        """Yield this element and all below it."""
+        """Yield this element and all of its descendants."""
         yield self
         for child in self.children:
             yield from child.walk()
 
     def get(self, name: str) -> str | None:
-        """Return the text of an attribute without surrounding spaces; None if it is absent or empty."""
+        """Return the value of an attribute without surrounding whitespace, or None if it is missing or empty."""
         return self.attributes.get(name, "").strip() or None
 
     def need(self, name: str) -> str:
-        """Return the text of a required attribute."""
+        """Return the value of a required attribute."""
         text = self.get(name)
         if text is None:
             raise self.refused(f"`<{self.tag}>` has no `{name}`")
         return text
 
     def numbers(self, name: str, count: int, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-        """Return an attribute of ``count`` numbers; it is required unless there is a default."""
+        """Return an attribute that contains ``count`` numbers; it is required unless a default is given."""
         if default is not None and self.get(name) is None:
             return default
         text = self.need(name)
@@ -80,16 +83,16 @@ class Element:
             values = ()
         if len(values) != count or not all(map(math.isfinite, values)):
             counted = "a number" if count == 1 else f"{count} numbers"
-            raise self.refused(f"`{name}` of `<{self.tag}>` is `{text[:60]}`, not {counted}")
+            raise self.refused(f"`{name}` of `<{self.tag}>` must be {counted}, not `{text[:60]}`")
         return values
 
     def number(self, name: str, default: float | None = None) -> float:
-        """Return an attribute of one number; it is required unless there is a default."""
+        """Return an attribute that contains one number; it is required unless a default is given."""
         return self.numbers(name, 1, None if default is None else (default,))[0]
 
 
 def read_xml(path: Path, root_tag: str | None = None) -> Element:
-    """Return the root element of an XML file; raises :class:`ImportRefusedError` for invalid or malicious files."""
+    """Return the root element of an XML file; raise :class:`ImportRefusedError` for invalid or malicious files."""
     stack: list[Element] = []
     roots: list[Element] = []
     parser, count = expat.ParserCreate(), 0
@@ -99,36 +102,40 @@ def read_xml(path: Path, root_tag: str | None = None) -> Element:
         count += 1
         element = Element(path, tag, parser.CurrentLineNumber, attributes)
         if count > MAX_ELEMENTS or len(stack) >= MAX_DEPTH:
-            raise element.refused(f"it has more than {MAX_ELEMENTS} elements, or more than {MAX_DEPTH} levels")
+            raise element.refused(
+                f"the file has more than {MAX_ELEMENTS} elements or more than {MAX_DEPTH} nesting levels"
+            )
         (stack[-1].children if stack else roots).append(element)
         stack.append(element)
 
     def entity(name: str, *_: object) -> None:
-        message = f"it defines the entity `{name}`"
-        raise ImportRefusedError(path, message, parser.CurrentLineNumber, "write out what it stands for")
+        message = f"the file defines the entity `{name}`"
+        raise ImportRefusedError(path, message, parser.CurrentLineNumber, "replace entities with their contents")
 
     parser.StartElementHandler, parser.EndElementHandler = start, lambda _: stack.pop()
     parser.EntityDeclHandler = entity
     try:
         parser.Parse(_bounded_bytes(path, MAX_XML_BYTES), True)
     except expat.ExpatError as error:
-        raise ImportRefusedError(path, f"it is not XML: {expat.ErrorString(error.code)}", error.lineno) from None
+        raise ImportRefusedError(
+            path, f"the file is not valid XML: {expat.ErrorString(error.code)}", error.lineno
+        ) from None
     except (ValueError, LookupError) as error:  # an encoding that Python does not support
-        raise ImportRefusedError(path, f"it is not XML: {error}") from None
+        raise ImportRefusedError(path, f"the file is not valid XML: {error}") from None
     (root,) = roots
     if root_tag is not None and root.tag != root_tag:
-        raise root.refused(f"its root is `<{root.tag}>`, not `<{root_tag}>`")
+        raise root.refused(f"the root element must be `<{root_tag}>`, not `<{root.tag}>`")
     return root
 
 
 def read_json(path: Path) -> Any:
-    """Return the content of a JSON file; raises :class:`ImportRefusedError`."""
+    """Return the content of a JSON file; raise :class:`ImportRefusedError` if it is invalid or too large."""
     try:
         return json.loads(_bounded_bytes(path, MAX_JSON_BYTES))
     except json.JSONDecodeError as error:
-        raise ImportRefusedError(path, f"it is not JSON: {error.msg}", error.lineno) from None
+        raise ImportRefusedError(path, f"the file is not valid JSON: {error.msg}", error.lineno) from None
     except (UnicodeDecodeError, RecursionError):
-        raise ImportRefusedError(path, "it is not JSON") from None
+        raise ImportRefusedError(path, "the file is not valid JSON") from None
 
 
 def _bounded_bytes(path: Path, most: int) -> bytes:
@@ -136,38 +143,44 @@ def _bounded_bytes(path: Path, most: int) -> bytes:
         with path.open("rb") as stream:
             data = stream.read(most + 1)
     except OSError as error:
-        raise ImportRefusedError(path, f"it cannot be read: {error.strerror}") from None
+        raise ImportRefusedError(path, f"the file could not be read: {error.strerror}") from None
     if len(data) > most:
-        raise ImportRefusedError(path, f"it is larger than {most // 1_000_000} MB")
+        raise ImportRefusedError(path, f"the file is larger than {most // 1_000_000} MB")
     return data
 
 
 MAX_FILE_BYTES = 500_000_000
-"""Largest size [bytes] of a referenced file, which bounds memory use; meshes and textures of scenes are smaller."""
+"""Maximum size of a referenced file [bytes], which limits memory use; typical meshes and textures are smaller."""
 
 LEVELS = 5
-"""Number of parent folders that are searched for a package: ROS nests share/package/robots/name/urdf."""
+"""Number of parent folders to search for a package; ROS uses share/package/robots/name/urdf."""
 
 MAX_REFERENCE = 1000
-"""Longest reference [characters]; file systems allow fewer."""
+"""Maximum length of a reference [characters]; file systems allow fewer."""
 
 _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 
 
 class NotFoundError(Exception):
-    """Error with the reason why a referenced file is not available, as the end of a sentence."""
+    """Raised if a referenced file is not available.
+
+    The message is a predicate, such as "does not exist", to be used after the name of the file.
+    """
 
 
 @dataclass(frozen=True)
 class FileSearch:
-    """Looks up files that ``file`` refers to, below ``root`` or in the folder of one of ``packages``."""
+    """Finds the files that ``file`` refers to, either below ``root`` or in one of the folders in ``packages``."""
 
     file: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def root(self) -> Path:
-        """Return the folder that must contain all files: the package of the file, or its parent folder."""
+        """Return the folder that must contain all referenced files.
+
+        This is the nearest enclosing package or project, or otherwise the parent of the file's folder.
+        """
         folder = self.file.resolve().parent
         for candidate in (folder, *folder.parents[:LEVELS]):
             if any((candidate / mark).exists() for mark in ("package.xml", ".git", "simfoundry.yaml")):
@@ -175,12 +188,12 @@ class FileSearch:
         return folder.parent if folder.parent != Path(folder.anchor) else folder
 
     def find(self, reference: str, folder: Path | None = None) -> Path:
-        """Return the file of a reference relative to ``folder`` (by default the folder of the file).
+        """Return the file for a reference, which may be relative to ``folder`` (by default, the folder of the file).
 
-        Raises :class:`NotFoundError`.
+        Raises :class:`NotFoundError` if the file is missing, too large, or outside the allowed folders.
         """
         if "\0" in reference or len(reference) > MAX_REFERENCE:
-            raise NotFoundError("is no file name")
+            raise NotFoundError("is not a valid file name")
         reference = reference.replace("\\", "/")
         package = _PACKAGE.match(reference)
         outside = False
@@ -193,15 +206,18 @@ class FileSearch:
                     raise NotFoundError(f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
                 return target
         if outside:
-            hint = "name the folder that it belongs to with `--package NAME=PATH`"
-            raise NotFoundError(f"lies outside {self.root}; {hint}")
+            hint = "add the folder that contains it with `--package NAME=PATH`"
+            raise NotFoundError(f"is outside {self.root}; {hint}")
         if package:
             name = package[1].lstrip("/").partition("/")[0]
-            raise NotFoundError(f"is not found; say where its package lies: `--package {name}=PATH`")
+            raise NotFoundError(f"could not be found; specify the folder of its package with `--package {name}=PATH`")
         raise NotFoundError("does not exist")
 
     def need(self, reference: str, file: Path, line: int, folder: Path | None = None) -> Path:
-        """Return the file of a reference on a line of ``file``; raises :class:`ImportRefusedError` with that line."""
+        """Return the file for a reference on line ``line`` of ``file``.
+
+        Raises :class:`ImportRefusedError` with that line if the file is not available.
+        """
         try:
             return self.find(reference, folder)
         except NotFoundError as error:
@@ -213,7 +229,11 @@ class FileSearch:
         yield from ((place / reference, place) for place in self.packages.values())
 
     def _in_package(self, path: str) -> Iterator[tuple[Path, Path]]:
-        """Yield candidates for ``package://NAME/REST``: named packages, then parent folders, then without the name."""
+        """Yield candidate paths and their root folders for ``package://NAME/REST``, in order of priority.
+
+        The package is looked up in ``packages`` first and then among the parent folders. Finally, the path is tried as
+        relative to the packages and parent folders.
+        """
         path = path.lstrip("/")
         name, _, rest = path.partition("/")
         if name in ("", ".", ".."):
@@ -232,5 +252,5 @@ class FileSearch:
 
 
 def missing_file(file: Path, line: int, reference: str, error: NotFoundError) -> ImportRefusedError:
-    """Return the error for a file that refers to an unavailable file."""
+    """Return the error for a reference to an unavailable file."""
     return ImportRefusedError(file, f"`{reference[:120]}` {error}", line)

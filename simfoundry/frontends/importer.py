@@ -1,4 +1,4 @@
-"""Import one file: read it, validate the documents by lowering them, and move them into place atomically."""
+"""Import a file: read it, validate the resulting documents by lowering them, and move them into place atomically."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ if TYPE_CHECKING:
 SCENE, ASSET, TASK = ".scene.yaml", ".asset.yaml", ".task.yaml"
 
 ATTEMPTS = 3
-"""Number of attempts to lower a draft; each failed attempt omits invalid parts, such as flat colliders."""
+"""Maximum number of attempts to lower a draft; each failed attempt removes invalid parts, such as flat colliders."""
 
 
 @dataclass(frozen=True)
 class ImportReport:
-    """Result for one file: its document and the differences from the file, or the reason for failure in ``error``."""
+    """The result of importing a file.
+
+    It contains the path of the document and its differences from the file, or the reason for the failure in ``error``.
+    """
 
     source: str
     out: str | None
@@ -47,7 +50,7 @@ class ImportReport:
     more: tuple[str, ...] = ()
     error: str = ""
     assumed_masses: Mapping[str, float] = field(default_factory=dict)
-    """Masses [kg] of moving links without a mass, computed from the density of water, by `object.link`."""
+    """Masses [kg], by `object.link`, that were computed from the density of water because the file has none."""
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for ``--json``."""
@@ -64,10 +67,13 @@ class ImportReport:
 
 
 def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> ImportReport:
-    """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with its meshes in NAME_files beside it.
+    """Import a file to ``out``, which must be NAME.scene.yaml, NAME.asset.yaml or, for tasks, NAME.task.yaml.
 
-    Raises :class:`ImportRefusedError` for a file that cannot be imported for any reason, and :class:`OutputError` if
-    existing files would be lost. Documents are only written if they can be lowered without errors.
+    Meshes are written to the folder NAME_files next to it. Documents are written only if they lower without errors.
+
+    Raises:
+        ImportRefusedError: If the file cannot be imported.
+        OutputError: If ``out`` has another name, or if existing files would be overwritten without ``options.force``.
     """
     with refusing_faults(path):
         read_task = task_readers().get(path.suffix.lower())
@@ -77,15 +83,16 @@ def import_file(path: Path, out: Path, options: ImportOptions = DEFAULTS) -> Imp
 def _import_model(path: Path, out: Path, options: ImportOptions) -> ImportReport:
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
     if kind is None:
-        raise OutputError(f"{out}: the output is called NAME{SCENE} or NAME{ASSET}")
+        raise OutputError(f"{out}: the output file must be named NAME{SCENE} or NAME{ASSET}")
     folder = out.parent / f"{out.name.removesuffix(kind)}_files"
     _refuse_existing(options, out, folder)
     draft = model_reader(path)(path, options)
     if kind == ASSET and len(draft.bodies) != 1:
-        raise ImportRefusedError(path, f"it holds {len(draft.bodies)} bodies", hint=f"import it to NAME{SCENE}")
+        message = f"an asset must have exactly one body, but the file has {len(draft.bodies)}"
+        raise ImportRefusedError(path, message, hint=f"import it to NAME{SCENE}")
     if kind == ASSET and draft.bodies[0].fixed:
-        why = "objects are fixed where they are used: write `fixed: true` there"
-        draft.changed("its root, which does not move", why)
+        why = "scenes, not assets, fix objects to the world; write `fixed: true` in the scene"
+        draft.changed("fixed root link", why)
     built, scene = _write(draft, kind, out, folder, path)
     return ImportReport(
         source=str(path),
@@ -106,7 +113,7 @@ def _import_model(path: Path, out: Path, options: ImportOptions) -> ImportReport
 def _refuse_existing(options: ImportOptions, *places: Path) -> None:
     for place in places:
         if place.exists() and not options.force:
-            raise OutputError(f"{place} exists; write elsewhere, or replace it with --force")
+            raise OutputError(f"{place} already exists; choose another output or replace it with --force")
 
 
 def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskReader) -> ImportReport:
@@ -116,9 +123,9 @@ def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskR
     from simfoundry.spec.models.scene import SceneSpec
 
     if not out.name.endswith(TASK):
-        raise OutputError(f"{out}: the output is called NAME{TASK}")
+        raise OutputError(f"{out}: the output file must be named NAME{TASK}")
     if options.scene is None:
-        raise ImportRefusedError(path, "a task is for a scene", hint="name its document: --scene NAME.scene.yaml")
+        raise ImportRefusedError(path, "a task requires a scene", hint="specify it with --scene NAME.scene.yaml")
     _refuse_existing(options, out)
     loaded = load_kind(options.scene, "scene/1")
     scene = lower(loaded, Cache.default(), fetch=False)
@@ -139,7 +146,11 @@ def _import_task(path: Path, out: Path, options: ImportOptions, read_task: TaskR
 
 
 def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) -> tuple[BuiltDocuments, Scene | None]:
-    """Write to a temporary folder, check the result, and move it; return the documents and the lowered scene."""
+    """Write the documents to a temporary folder, validate them, and move them into place.
+
+    Returns:
+        The documents and the lowered scene.
+    """
     name, root = out.name.removesuffix(kind), project_root(out)
     marked = root if any((root / mark).exists() for mark in (".git", "simfoundry.yaml")) else None
     build = build_asset if kind == ASSET else build_scene
@@ -167,7 +178,7 @@ def _write(draft: ModelDraft, kind: str, out: Path, folder: Path, source: Path) 
 
 
 def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
-    """Return the lowered scene of a written document, and the errors found while lowering it."""
+    """Lower a written document; return the scene, or None and the errors if lowering fails."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -183,7 +194,10 @@ def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, lis
 
 
 def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | None) -> dict[str, float]:
-    """Return the masses [kg] of moving links without a mass, by `object.link`, or by link for a single object."""
+    """Return the masses [kg] of moving links for which the file specifies no mass.
+
+    The keys are `object.link`, or only link names if there is a single object.
+    """
     out: dict[str, float] = {}
     if scene is None:
         return out
@@ -199,7 +213,7 @@ def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | Non
 
 
 def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Diagnostic], source: Path) -> bool:
-    """Omit flat colliders and visuals that cannot be rendered; return True if there were any."""
+    """Remove flat colliders and visuals that cannot be rendered from the draft; return True if there were any."""
     from simfoundry.frontends.mass_repair import repair_masses
 
     mended = False
@@ -213,7 +227,7 @@ def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Di
         if finding.code == "SF301" and "flat" in finding.message and part.collides:
             draft.dropped(f"contact of {what}", "its mesh is flat")
         elif finding.code in ("SF301", "SF303") and part.use == "visual":
-            why = "no mesh of such a size is shown" if finding.code == "SF303" else "its mesh cannot be shown"
+            why = "its mesh has an implausible size" if finding.code == "SF303" else "its mesh is unusable"
             draft.dropped(what, why, finding.message)
         else:
             continue
@@ -224,7 +238,7 @@ def _without_bad_meshes(draft: ModelDraft, built: BuiltDocuments, found: list[Di
         mended = True
         if link.density is not None and not link.colliders:
             link.mass, link.com, link.density, link.assumed = 1.0, np.zeros(3), None, "import"
-            draft.assumed(f"mass of `{link.name}`", "nothing of it has a volume; 1 kg, as PhysX takes it")
+            draft.assumed(f"mass of `{link.name}`", "none of its colliders has a volume; 1 kg is assumed, as in PhysX")
     if mended:
         repair_masses(draft, str(source))
     return mended

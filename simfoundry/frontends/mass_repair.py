@@ -1,4 +1,4 @@
-"""Repair masses for simulators: merge massless frames into their neighbors, and make every inertia valid."""
+"""Repair mass properties: merge massless links into their neighbors, and make every mass and inertia valid."""
 
 from __future__ import annotations
 
@@ -11,35 +11,41 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import Array
 
 WATER_DENSITY = 1000.0
-"""Density [kg/m^3] of links without a mass, the default of MuJoCo and UsdPhysics."""
+"""Density [kg/m^3] of links without a mass, which is the default in MuJoCo and UsdPhysics."""
 
 WIDEST_GYRATION = 2.0
-"""Radius of gyration [m] above which an inertia is treated as a unit error: tabletop objects are smaller. MJCF is
-exempt: MuJoCo accepts such inertias, and models use them to keep a body from rotating."""
+"""Radius of gyration [m] above which an inertia is treated as a unit error, because tabletop objects are smaller.
+
+MJCF files are exempt: MuJoCo accepts large inertias, and models use them to keep a body from rotating.
+"""
 
 FEATHER_SHARE = 1e-7
-"""Mass of a link that only connects two joints, relative to the mass it supports: below single precision."""
+"""Mass of a link that only connects two joints, relative to the mass it supports; below single precision."""
 
 LIGHTEST_FEATHER = 1e-12
-"""Smallest mass [kg] of such a link: MuJoCo rejects bodies below 1e-15 kg or kg m^2, others divide by the mass."""
+"""Minimum mass [kg] of a link that only connects two joints.
+
+MuJoCo rejects bodies with less than 1e-15 kg or kg m^2, and other simulators divide by the mass.
+"""
 
 LEAST_INERTIA = 1e-14
-"""Smallest moment of inertia [kg m^2] assigned to a link, ten times the minimum of MuJoCo."""
+"""Minimum moment of inertia [kg m^2] assigned to a link: ten times MuJoCo's minimum."""
 
 ROUNDING = 0.01
-"""Relative violation of the triangle inequality that is treated as rounding: some files have two digits."""
+"""Relative violation of the triangle inequality that is treated as rounding; some files have only two digits."""
 
 INSIDE_LIMITS = 1e-6
-"""Distance of a corrected position from its limit, relative to the range, so that rounding cannot exceed the limit."""
+"""Distance of a clamped joint position from the limit, relative to the range; prevents rounding beyond the limit."""
 
 WORLD_NAMES = ("world", "map", "universe")
-"""Names of a root link that represent the world."""
+"""Names of root links that represent the world."""
 
 
 def repair_masses(draft: ModelDraft, file: str) -> None:
-    """Give every link of every body a mass and an inertia that simulators accept, and record the changes.
+    """Give every link a mass and an inertia that simulators accept, and record the changes in the draft.
 
-    Joint positions beyond a limit are moved to it. Raises :class:`ImportRefusedError` for a link without any mass.
+    Joint positions are also clamped to their limits. Raises :class:`ImportRefusedError` if a moving link has no mass,
+    no shape and no child link.
     """
     for body in draft.bodies:
         for joint in body.joints:
@@ -58,13 +64,13 @@ def _clamp_position(draft: ModelDraft, joint: JointDraft) -> None:
     low, high = joint.limits
     target = joint.drive.target if joint.drive is not None else None
     if target is not None and not low <= target <= high:
-        why = "it pulls to a place beyond the limits of its joint, which cannot be expressed"
-        draft.dropped(f"drive of joint `{joint.name}`", why, f"to {target:.4g}")
+        why = "its target is beyond the joint limits, which cannot be expressed"
+        draft.dropped(f"drive of joint `{joint.name}`", why, f"target {target:.4g}")
         joint.drive = None
     if not low <= joint.position <= high:
         margin = INSIDE_LIMITS * (high - low)
         inside = min(max(joint.position, low + margin), high - margin)
-        why = "it starts beyond its limits; here it starts at the nearer one"
+        why = "the initial position is beyond the joint limits and was moved to the nearest limit"
         draft.changed(f"position of joint `{joint.name}`", why, f"{joint.position:.4g} to {inside:.4g}")
         joint.position = inside
 
@@ -76,9 +82,9 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
             continue
         carrier = body.carrier(link.name)
         if carrier is not None and carrier.type == "fixed":
-            what = "its shapes are" if link.parts else "its frame is"
+            what = "its shapes are" if link.parts else "it is"
             _join_to_parent(draft, body, body.links[carrier.parent], link, carrier)
-            why = f"it weighs nothing and is fixed: {what} part of the link that carries it"
+            why = f"it has no mass and a fixed joint, so {what} merged into its parent link"
             x, y, z = (f"{v:.4g}" for v in carrier.X_PC.p + 0.0)
             draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` at ({x}, {y}, {z})")
             continue
@@ -88,7 +94,7 @@ def _join_massless_links(draft: ModelDraft, body: BodyDraft) -> None:
 
 
 def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraft) -> None:
-    """Merge a child without a mass into its parent."""
+    """Merge a child link without a mass into its parent."""
     _join_exclusions(draft, body, parent, child)
     for part in child.parts:
         part.X_LG = joint.X_PC @ part.X_LG
@@ -99,9 +105,9 @@ def _join_to_parent(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child
 
 
 def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
-    """Replace ``child`` by ``parent`` in the excluded pairs if the meaning stays the same.
+    """Replace ``child`` with ``parent`` in the excluded contact pairs if this preserves their meaning.
 
-    A pair excludes all contact of a link, so it cannot refer to the shapes of only one of two merged links.
+    A pair always excludes all shapes of a link, so it cannot refer to the shapes of only one of two merged links.
     """
     old, new = (body.name, child.name), (body.name, parent.name)
     pairs = [((body.name, a), (body.name, b)) for a, b in body.no_contact] + draft.no_contact
@@ -114,9 +120,9 @@ def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, chil
         if other in (old, new):
             continue
         if parent.colliders:
-            why = "links that are joined pass through another one whole or not at all"
-            done = "all of it passes" if other in excluded[new] else "nothing of it passes"
-            draft.changed(f"excluded contact of `{child.name}` and `{other[1]}`", why, f"{done} through")
+            why = "contact can be excluded only for all shapes of a merged link"
+            done = "excluded for all shapes" if other in excluded[new] else "not excluded"
+            draft.changed(f"excluded contact of `{child.name}` and `{other[1]}`", why, done)
         elif other[0] == body.name:
             body.no_contact.append((parent.name, other[1]))
         else:
@@ -124,7 +130,7 @@ def _join_exclusions(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, chil
 
 
 def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
-    """Move the content of a link fixed to a frame without mass or shape into the frame, which keeps its pose."""
+    """Merge a link into its parent ``frame``, which has no mass or shape and keeps its pose."""
     child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts, frame.mass, frame.contact = child.parts, child.mass, child.contact
     for part in frame.parts:
@@ -142,14 +148,14 @@ def _absorb_child(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: J
 
     draft.no_contact = [(renamed(a), renamed(b)) for a, b in draft.no_contact]
     _remove_link(draft, body, child.name, frame.name, joint)
-    why = "it is one with the link that carries it, which weighs nothing by itself"
+    why = "it is merged into its parent link, which has no mass of its own"
     draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
     if frame.name.lower() in WORLD_NAMES:
         body.fixed = True
 
 
 def _remove_link(draft: ModelDraft, body: BodyDraft, old: str, new: str, joint: JointDraft) -> None:
-    """Remove a link and its joint; move its joints and cameras to link ``new``, using the pose of the joint."""
+    """Remove link ``old`` and its parent joint, and attach its child joints and cameras to link ``new`` instead."""
     body.joints.remove(joint)
     del body.links[old]
     for below in body.joints:
@@ -161,94 +167,98 @@ def _remove_link(draft: ModelDraft, body: BodyDraft, old: str, new: str, joint: 
 
 
 def _assume_mass(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str) -> None:
-    """Assume a mass for a link without one."""
+    """Assume a mass for a link that has none."""
     is_root = link.name == body.root
     if is_root and (link.mass == 0 or link.name.lower() in WORLD_NAMES):
         body.fixed = True
     link.mass, link.com, link.inertia = None, None, None
     what = f"mass of `{link.name}`"
     if link.colliders:
-        usual = f"{WATER_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it"
+        usual = f"computed from its shapes at {WATER_DENSITY:g} kg/m^3, as in MuJoCo"
         assume_density(draft, link, usual, is_root and body.fixed)
     elif is_root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
         if not body.fixed:
-            draft.assumed(what, "none is given and nothing of it touches; 1 kg, as PyBullet takes it")
+            draft.assumed(what, "the file specifies neither a mass nor colliders; 1 kg is assumed, as in PyBullet")
     elif any(joint.parent == link.name for joint in body.joints):
         feather = feather_link(link.name, _mass_below(body, link.name))
         link.mass, link.com, link.inertia, link.assumed = feather.mass, feather.com, feather.inertia, "import"
-        why = "none is given and it only joins two joints; too little to matter"
+        why = "the link has no mass and only connects joints; a negligible mass is assumed"
         draft.assumed(what, why, f"{link.mass:.3g} kg")
     else:
-        message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
-        raise ImportRefusedError(file, message, hint="give it an inertial")
+        message = f"link `{link.name}` moves but has neither a mass nor a shape from which to compute it"
+        raise ImportRefusedError(file, message, hint="add an `inertial` element")
 
 
 def assume_density(draft: ModelDraft, link: LinkDraft, usual: str, is_static: bool = False) -> None:
-    """Compute the mass of a link without one from the user's density, or else from that of water.
+    """Set the density of a link without a mass to the user's density or, by default, to the density of water.
 
-    Only the density of water is an assumption of the importer that causes a warning; nothing is recorded for static
-    links.
+    Args:
+        draft: Draft that records the assumption.
+        link: Link without a mass.
+        usual: Explanation to record if the user did not specify a density.
+        is_static: True for links that do not move, for which nothing is recorded.
     """
     link.density, link.assumed = draft.density or WATER_DENSITY, "" if draft.density else "import"
     if not is_static:
-        reason = f"{draft.density:g} kg/m^3 over its shapes, as --density gives it" if draft.density else usual
-        draft.assumed(f"mass of `{link.name}`", f"none is given; {reason}")
+        set_by_user = "computed from its shapes at {:g} kg/m^3, as set by --density"
+        reason = set_by_user.format(draft.density) if draft.density else usual
+        draft.assumed(f"mass of `{link.name}`", f"the file specifies none; {reason}")
 
 
 def _mass_below(body: BodyDraft, link: str) -> float:
-    """Return the known mass [kg] of all descendants of a link."""
+    """Return the total known mass [kg] of all descendants of a link."""
     carried = [joint.child for joint in body.joints if joint.parent == link]
     return sum((body.links[child].mass or 0.0) + _mass_below(body, child) for child in carried)
 
 
 def feather_link(name: str, carried: float) -> LinkDraft:
-    """Return a link between two joints whose mass is negligible compared to the mass ``carried`` [kg]."""
+    """Return a link between two joints with a mass that is negligible compared to the mass ``carried`` [kg]."""
     mass = max(LIGHTEST_FEATHER, FEATHER_SHARE * carried)
     return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball_inertia(mass), assumed="import")
 
 
 def _repair_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None:
-    """Replace an impossible inertia by that of the shapes, or correct it if it is invalid only because of rounding.
+    """Correct an inertia that is slightly invalid because of rounding, or recompute an impossible one from the shapes.
 
-    A missing inertia counts as that of a point mass if a fixed joint connects the link to another.
+    A zero inertia is replaced with a tiny one, as for a point mass, if the link has a fixed joint to its parent.
     """
     assert link.mass is not None
     what = f"inertia of `{link.name}`"
     if link.inertia is None:
         if not link.colliders:
-            _assume_ball(draft, link, "none is given")
+            _assume_ball(draft, link, "the file specifies none")
         return
     link.inertia = link.inertia / 2 + link.inertia.T / 2
-    is_finite = bool(np.isfinite(link.inertia).all())  # numbers of 1e308 overflow when rotated
+    is_finite = bool(np.isfinite(link.inertia).all())  # numbers near 1e308 overflow when rotated
     moments = np.linalg.eigvalsh(link.inertia) if is_finite else np.full(3, np.nan)
     excess = float(moments[2] - moments[0] - moments[1])
     detail = f"{', '.join(f'{m:.3g}' for m in moments)} kg m^2"
-    reason = "no body has such moments"
+    reason = "its principal moments are physically impossible"
     if moments[0] > 0 and excess <= moments[2] * 1e-9:  # rounding of double precision
         if math.sqrt(float(moments[2]) / link.mass) <= WIDEST_GYRATION or draft.format == "MJCF":
             return
-        reason, detail = "only something many meters wide has it", f"{detail} for {link.mass:.3g} kg"
+        reason, detail = "only an object many meters wide could have it", f"{detail} for {link.mass:.3g} kg"
     elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
         link.inertia = LEAST_INERTIA * np.eye(3)
-        draft.changed(what, "it has a mass and no inertia; it is fixed, so it stays a point")
+        draft.changed(what, "it is zero, and the link is fixed, so it is treated as a point mass")
         return
     elif moments[0] > 0 and excess <= moments[2] * ROUNDING:
         link.inertia = link.inertia + excess * (1 + 1e-6) * np.eye(3)
-        why = "rounding took it out of what a body can have; rounded back"
+        why = "rounding made it physically impossible; corrected to the nearest valid inertia"
         draft.changed(what, why, f"moments {detail}, by {excess / moments[2]:.1g}")
         return
     if link.colliders:
         link.inertia = None
-        draft.changed(what, f"{reason}; computed from its shapes", detail)
+        draft.changed(what, f"{reason}; recomputed from its shapes", detail)
     else:
         _assume_ball(draft, link, reason, detail)
 
 
 def inertia_of_moments(moments: Array, axes: Array, noise: float) -> Array:
-    """Return the inertia (3, 3) of principal moments (3,) along the columns of ``axes`` (3, 3).
+    """Return the inertia tensor, shape (3, 3), with principal ``moments``, shape (3,), about the columns of ``axes``.
 
-    Elements below the fraction ``noise`` of the trace are rounding errors of the axes and become zero.
+    Elements smaller than ``noise`` times the trace are rounding errors from the axes and are set to zero.
     """
     inertia = axes @ np.diag(moments) @ axes.T
     return np.where(np.abs(inertia) < noise * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
@@ -258,10 +268,10 @@ def _assume_ball(draft: ModelDraft, link: LinkDraft, reason: str, detail: str = 
     assert link.mass is not None
     link.com = np.zeros(3) if link.com is None else link.com
     link.inertia = ball_inertia(link.mass)
-    draft.assumed(f"inertia of `{link.name}`", f"{reason}; that of a ball of water stands for it", detail)
+    draft.assumed(f"inertia of `{link.name}`", f"{reason}; replaced by the inertia of a ball of water", detail)
 
 
 def ball_inertia(mass: float) -> Array:
-    """Return the inertia [kg m^2] of a ball of water with a mass [kg], or the smallest allowed inertia."""
+    """Return the inertia [kg m^2] of a ball of water with the given mass [kg], or the minimum allowed inertia."""
     radius = (3 * mass / (4 * math.pi * WATER_DENSITY)) ** (1 / 3)
     return np.diag([max(0.4 * mass * radius**2, LEAST_INERTIA)] * 3)

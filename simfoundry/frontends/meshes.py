@@ -1,4 +1,4 @@
-"""Mesh files of imports: copied if documents support the format, else converted to OBJ; OBJ groups can be split."""
+"""Import mesh files: copy them if documents support the format, or otherwise convert them to OBJ."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ Scale = tuple[float, float, float]
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")
 
 EVEN_SCALE = 1e-12
-"""Relative tolerance for equal scales: rounding of double precision."""
+"""Relative tolerance for equal scales, which allows for double-precision rounding."""
 
 _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
-"""Line prefixes at which Bullet's reader (tiny_obj_loader.cpp) starts a new shape; a bare `g` does not."""
+"""Start of a line where Bullet's OBJ reader (tiny_obj_loader.cpp) begins a new shape; a bare `g` does not count."""
 
 
 def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
-    """Return a mesh file at a scale [m per unit]: copied if documents can express the scale, else baked into an OBJ.
+    """Return a draft of a mesh file with the given scale [m per unit] along each axis.
 
-    Raises :class:`MeshError`.
+    The file is copied if documents support its format and scale. Otherwise, the scaled mesh is written to an OBJ.
+    Raises :class:`MeshError` if the mesh cannot be read.
     """
     x, y, z = scale
     if 0.0 in scale:
-        raise MeshError("SF301", f"{path.name} is scaled to nothing: {scale}")
+        raise MeshError("SF301", f"{path.name} has a scale of zero along an axis: {scale}")
     is_even = x > 0 and abs(y - x) <= EVEN_SCALE * x and abs(z - x) <= EVEN_SCALE * x
     if path.suffix.lower() not in MESH_SUFFIXES or not is_even:
         return _baked(path, scale)
@@ -52,7 +53,10 @@ def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
 
 @dataclass
 class FileShelf:
-    """Files to be written into ``folder`` (relative to ``base``), except files that are already below ``root``."""
+    """Collects files to write to ``folder``, relative to ``base``; files already below ``root`` are not copied.
+
+    ``files`` maps paths to contents, and ``taken`` maps the identity of each mesh to its path.
+    """
 
     base: Path
     folder: str
@@ -61,7 +65,7 @@ class FileShelf:
     taken: dict[int, str] = field(default_factory=dict)
 
     def place(self, mesh: MeshDraft) -> str:
-        """Return the path of a mesh, relative to ``base``; equal files are stored once."""
+        """Add a mesh and return its path relative to ``base``; identical files are stored only once."""
         source = None if mesh.source is None else mesh.source.resolve()
         if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
             return Path(os.path.relpath(source, self.base.resolve())).as_posix()
@@ -81,7 +85,7 @@ class FileShelf:
 
 
 def mesh_width(mesh: MeshDraft) -> float:
-    """Return the longest side of a mesh's bounding box [m]; 0 if it cannot be read, which is reported later."""
+    """Return the longest side of a mesh's bounding box [m], or 0 if the mesh is unreadable, which is reported later."""
     name, data = next(iter(mesh.files.items()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -93,14 +97,14 @@ def mesh_width(mesh: MeshDraft) -> float:
 
 
 def _file_name(path: Path) -> str:
-    """Return the name of a file, simplified if some format does not support it."""
+    """Return the name of a file, simplified if it has characters that some formats do not support."""
     name = path.name
     simple = name.isascii() and name.replace("_", "").replace("-", "").replace(".", "").isalnum()
     return name if simple else f"{plain_name(path.stem, 'mesh')}{path.suffix.lower()}"
 
 
 def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> None:
-    """Add the material libraries of an OBJ and their textures, under the names that the files use."""
+    """Add the material libraries of an OBJ file and their textures, using the names by which they are referenced."""
     for name in _names_after(files[next(iter(files))], "mtllib"):
         found = _beside(name, path.parent, search)
         if found is None or "/" in name or "\\" in name or name in files:
@@ -113,7 +117,7 @@ def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> N
 
 
 def _names_after(data: bytes, keyword: str) -> list[str]:
-    """Return the rest of each line of an OBJ or MTL file that starts with a keyword."""
+    """Return the remainder of each line that starts with ``keyword`` in an OBJ or MTL file."""
     lines = (line.decode("utf-8", "replace").strip().partition(" ") for line in data.splitlines())
     return [rest.strip() for word, _, rest in lines if word.lower() == keyword and rest.strip()]
 
@@ -126,18 +130,18 @@ def _beside(name: str, folder: Path, search: FileSearch) -> Path | None:
 
 
 def _baked(path: Path, scale: Scale) -> MeshDraft:
-    """Return the mesh as an OBJ in meters."""
+    """Convert a mesh file to an OBJ file in meters."""
     if path.suffix.lower() == ".dae":
         parts = read_collada(path, scale)
     elif path.suffix.lower() in (*MESH_SUFFIXES, ".gltf"):
         parts = read_parts(path, scale)
     else:
-        raise MeshError("SF301", f"{path.name} is of a kind that is not read", "convert it to OBJ, STL, PLY or GLB")
+        raise MeshError("SF301", f"{path.name} has an unsupported format", "convert it to OBJ, STL, PLY or GLB")
     return mesh_of_parts(parts, plain_name(path.stem, "mesh"))
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """Return an OBJ in meters with a material for each part that has its own color or texture."""
+    """Return an OBJ file in meters, with a material for each part that has a color or texture."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
@@ -187,10 +191,11 @@ Groups = list[tuple[str, list[tuple[int, int, int]]]]
 
 
 def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
-    """Return a mesh [m] for each group of an OBJ with several groups, by group name; empty for any other file.
+    """Split an OBJ file into its groups, because PyBullet uses one convex hull per group for URDF collision meshes.
 
-    PyBullet creates one convex hull per group for collision meshes of a URDF. Errors in an OBJ are reported by the mesh
-    reader.
+    Returns:
+        The name and the mesh in meters of each group. The list is empty if the file is not an OBJ file, has fewer than
+        two groups, or is invalid, which the mesh reader reports.
     """
     data = path.read_bytes() if path.suffix.lower() == ".obj" else b""
     if not _GROUP.search(data):
@@ -212,7 +217,7 @@ def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
 
 
 def _groups(text: str) -> tuple[list[list[float]], Groups]:
-    """Return the vertices and the triangles by group of an OBJ; groups without faces are omitted."""
+    """Return the vertices of an OBJ file and the triangles of each group; groups without faces are omitted."""
     points: list[list[float]] = []
     groups: Groups = [("", [])]
     for words in filter(None, map(str.split, text.splitlines())):
@@ -227,7 +232,10 @@ def _groups(text: str) -> tuple[list[list[float]], Groups]:
 
 
 def _vertex(word: str, count: int) -> int:
-    """Return the vertex index of a face corner, which counts from 1 or, if negative, back from the last vertex."""
+    """Convert an OBJ face corner to a vertex index.
+
+    OBJ indices start at 1; negative indices count backward from the last of ``count`` vertices.
+    """
     number = int(word.partition("/")[0])
     index = number - 1 if number > 0 else count + number
     if not 0 <= index < count:
@@ -240,37 +248,38 @@ UP = {
     "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "Z_UP": np.eye(3),
 }
-"""Rotations from a file's axes to axes with z up."""
+"""Rotations from the file's axes to axes with z up, by the file's up axis."""
 
 MAX_NODES = 10_000
-"""Largest number of visited nodes: 30 nodes that each instantiate the next one twice expand to a billion."""
+"""Maximum number of nodes to visit; 30 nodes that each instantiate the next one twice expand to a billion nodes."""
 
 DECIMALS = 8
-"""Decimals of coordinates [m]: pycollada uses single precision, which has a resolution of 1e-7 at one meter."""
+"""Number of decimals in coordinates [m]; pycollada uses single precision, with a resolution of 1e-7 at one meter."""
 
 _BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
 
 HARMLESS = ("DaeBrokenRefError", "DaeUnsupportedError")
-"""Errors that are ignored because the elements are not used: animations, cameras, lights, missing images."""
+"""Errors to ignore because they concern elements we do not use: animations, cameras, lights and missing images."""
 
 
 def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPart, ...]:
-    """Return the geometries of a COLLADA file; ``scale`` comes after the file's own unit and up axis.
+    """Return the geometries in a COLLADA file, in meters and with z up.
 
-    Raises :class:`MeshError`.
+    ``scale`` is applied after the conversion from the file's unit and up axis. Raises :class:`MeshError` if the file
+    cannot be read.
     """
     import collada
     from collada.common import DaeError
 
     try:
-        root = read_xml(path)  # rejects entities and excessive numbers of elements or levels
+        root = read_xml(path)  # rejects entities and excessively large files
         strips = next((e for tag in ("tristrips", "trifans") for e in root.walk() if e.tag == tag), None)
         if strips is not None:
-            raise strips.refused(f"`<{strips.tag}>` is not read", "export plain triangles")
+            raise strips.refused(f"`<{strips.tag}>` is not supported", "export plain triangles")
         data = path.read_bytes()
         document = collada.Collada(io.BytesIO(data), ignore=[DaeError])
         broken = [match[1] for e in document.errors if (match := _BROKEN_MATERIAL.search(str(e)))]
-        if broken:  # pycollada omits geometry with a broken material; without the material it is kept, uncolored
+        if broken:  # pycollada omits geometry with a broken material, so remove the material
             bindings = b"|".join(re.escape(name.encode()) for name in broken)
             pattern = rb'<instance_material[^>]*target="#(?:%s)"[^>]*?(?:/>|>.*?</instance_material>)' % bindings
             document = collada.Collada(io.BytesIO(re.sub(pattern, b"", data, flags=re.DOTALL)), ignore=[DaeError])
@@ -280,17 +289,19 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
         parts = list(_document_parts(document, path, np.array(scale)))
     except (ImportRefusedError, MeshError) as error:
         reason, hint = (error.reason if isinstance(error, ImportRefusedError) else error.message), error.hint
-        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", hint or "export it again") from None
+        raise MeshError(
+            "SF301", f"{path.name} could not be read as a mesh: {reason}", hint or "export it again"
+        ) from None
     except Exception as error:  # pycollada does not wrap the exceptions of its parsers
         reason = " ".join(str(error).split())[:120]
-        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
+        raise MeshError("SF301", f"{path.name} could not be read as a mesh: {reason}", "export it again") from None
     if not parts:
         raise MeshError("SF301", f"{path.name} has no triangles", "export the surface, not only points or curves")
     return tuple(parts)
 
 
 def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPart]:
-    """Yield the geometries as posed by the visual scene, or all of them without a pose if there is no scene."""
+    """Yield the geometries at their poses in the visual scene, or untransformed if the file has no scene."""
     X_WF = np.eye(4)
     asset = document.assetInfo
     X_WF[:3, :3] = np.diag(scale) @ UP.get(asset.upaxis, np.eye(3)) * (asset.unitmeter or 1.0)
@@ -303,7 +314,7 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
         node, X_WN = waiting.pop()
         count += 1
         if count > MAX_NODES:
-            raise MeshError("SF301", f"its scene has more than {MAX_NODES} nodes", "join its meshes")
+            raise MeshError("SF301", f"its scene has more than {MAX_NODES} nodes", "merge its meshes")
         if hasattr(node, "geometry"):
             yield from _geometry_parts(node.geometry, X_WN, {m.symbol: m.target for m in node.materials}, path)
         elif hasattr(node, "matrix"):
@@ -311,7 +322,7 @@ def _document_parts(document: Any, path: Path, scale: Array) -> Iterator[MeshPar
 
 
 def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], path: Path) -> Iterator[MeshPart]:
-    """Yield each primitive of a geometry; ``materials`` maps its material symbols to materials."""
+    """Yield each primitive of a geometry as a mesh part; ``materials`` maps material symbols to materials."""
     for primitive in geometry.primitives:
         if not hasattr(primitive, "triangleset") and type(primitive).__name__ != "TriangleSet":
             continue  # lines
@@ -334,7 +345,10 @@ def _geometry_parts(geometry: Any, X_WN: Array, materials: Mapping[str, Any], pa
 def _appearance(
     material: Any, path: Path, has_uv: bool
 ) -> tuple[bytes | None, tuple[float, float, float, float] | None]:
-    """Return the texture as PNG if its file is beside ``path`` and there are coordinates for it, else the color."""
+    """Return the texture as PNG, or the color, of a material.
+
+    A texture is used only if its file is in the same folder as ``path`` and the mesh has texture coordinates.
+    """
     from PIL import Image
 
     diffuse = None if material is None else material.effect.diffuse

@@ -1,4 +1,4 @@
-"""Registry of importers: the files that each supports, and the functions that read them."""
+"""Registry of importers, the file types that they support, and the functions that read these files."""
 
 from __future__ import annotations
 
@@ -19,18 +19,22 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.task import TaskSpec
 
 ModelReader = Callable[[Path, ImportOptions], ModelDraft]
-"""Function that reads a file as a draft; raises :class:`ImportRefusedError`."""
+"""A function that reads a model file into a draft; raises :class:`ImportRefusedError`."""
 
 TaskReader = Callable[[Path, "SceneSpec", "Scene", Path, ImportOptions], "tuple[TaskSpec, ModelDraft]"]
-"""Function that reads a task file for a scene, given as a document and lowered, to be written to a path."""
+"""A function that reads a task file.
+
+Its arguments are the task file, the scene document, the lowered scene, the path to which the task will be written, and
+the options.
+"""
 
 
 @dataclass(frozen=True)
 class Importer:
-    """Importer of a format: readers of models and tasks by file suffix.
+    """An importer for a format, with model and task readers by file suffix.
 
-    Formats that share a suffix are distinguished by ``xml_root``, the root element of their XML files, or by a function
-    of the file, ``accepts``.
+    Formats that share a suffix are distinguished by ``xml_root``, the name of their root element in XML files, or by
+    ``accepts``, a function that examines the file.
     """
 
     models: Mapping[str, ModelReader] = field(default_factory=dict)
@@ -48,7 +52,7 @@ IMPORTERS: Registry[Importer] = Registry(
 
 
 def deferred(target: str) -> Callable[..., Any]:
-    """Return a function that imports and calls ``module:function``, so that only the importer in use is loaded."""
+    """Return a function that imports and calls ``module:function``, so importers are loaded only when needed."""
 
     def call(*args: Any) -> Any:
         module, _, function = target.partition(":")
@@ -58,26 +62,31 @@ def deferred(target: str) -> Callable[..., Any]:
 
 
 def model_suffixes() -> tuple[str, ...]:
-    """Return the suffixes of model files."""
+    """Return the file suffixes of all supported model files."""
     return tuple(dict.fromkeys(suffix for importer in IMPORTERS.load_all().values() for suffix in importer.models))
 
 
 def task_readers() -> dict[str, TaskReader]:
-    """Return the readers of tasks by suffix."""
+    """Return all task readers by file suffix."""
     return {suffix: read for importer in IMPORTERS.load_all().values() for suffix, read in importer.tasks.items()}
 
 
 def model_reader(path: Path) -> ModelReader:
-    """Return the function that reads a model file; raises :class:`ImportRefusedError` if there is none."""
+    """Return the function that reads a model file.
+
+    Raises :class:`ImportRefusedError` if no importer accepts the file.
+    """
     suffix = path.suffix.lower()
     found = [importer for importer in IMPORTERS.load_all().values() if suffix in importer.models]
     if not found:
-        known = f"these are: {', '.join(model_suffixes())}, and with --scene the tasks {', '.join(task_readers())}"
-        raise ImportRefusedError(path, "files of this kind are not imported", hint=known)
+        tasks = ", ".join(task_readers())
+        known = f"supported file types: {', '.join(model_suffixes())}, and for tasks (with --scene) {tasks}"
+        raise ImportRefusedError(path, "unsupported file type", hint=known)
     if suffix == ".xml":
         tag = read_xml(path).tag
         known = ", ".join(f"`<{importer.xml_root}>`" for importer in found)
         found = [importer for importer in found if importer.xml_root == tag]
         if not found:
-            raise ImportRefusedError(path, f"its root is `<{tag}>`", hint=f"importers read files with the root {known}")
+            message = f"unsupported root element `<{tag}>`"
+            raise ImportRefusedError(path, message, hint=f"supported root elements: {known}")
     return next(importer for importer in found if importer.accepts(path)).models[suffix]

@@ -1,6 +1,7 @@
 """Export tasks to other formats: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
 
-A task is rejected if a format would change the meaning of its goal; losses at the start are recorded.
+A task is rejected if the format would change the meaning of its goal. Initial conditions that the format cannot express
+are recorded as notes.
 """
 
 from __future__ import annotations
@@ -22,29 +23,29 @@ FORMATS = ("libero", "behavior", "omnigibson")
 
 
 class TaskExportError(SimfoundryError):
-    """Error for a task that a format cannot express; the message gives the reason and a format that can."""
+    """Raised if a format cannot express a task."""
 
 
 @dataclass
 class TaskExport:
-    """Text of a file, with notes on omissions and assumptions."""
+    """The text of an exported file, with notes on omissions and assumptions."""
 
     text: str = ""
     notes: list[str] = field(default_factory=list)
 
     def args(self, call: Call) -> list[str]:
-        """Return the objects of a predicate; add a note if it refers to a part of one."""
+        """Return the objects of a predicate; add a note if the predicate refers to a part of an object."""
         args = [object_of(arg) for arg in call.args]
         if args != list(call.args):
-            self.notes.append(f"{call}: the whole of the object is meant, not its part")
+            self.notes.append(f"{call}: the exported predicate refers to the entire object, not to the part")
         return args
 
 
 def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
-    """Return the task in one of :data:`FORMATS`; raises :class:`TaskExportError`."""
+    """Export a task to one of :data:`FORMATS`; raise :class:`TaskExportError` if the format cannot express it."""
     export = TaskExport()
     if spec.start.place or spec.start.pose:
-        export.notes.append("poses at the start: the format has the scene's own")
+        export.notes.append("initial poses: the format always uses the scene's poses")
     if format_ == "omnigibson":
         export.text = _omnigibson(spec, scene, export)
     else:
@@ -53,7 +54,10 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
 
 
 def atoms(condition: Any) -> list[tuple[Call, bool]]:
-    """Return the predicates of a conjunction with their truth values; raises :class:`TaskExportError` for others."""
+    """Return the predicates in a conjunction and their required truth values.
+
+    Raises :class:`TaskExportError` for any other condition.
+    """
     tag, below = parts(condition)
     if tag == "text":
         return [(parse_call(below[0]), True)]
@@ -61,22 +65,24 @@ def atoms(condition: Any) -> list[tuple[Call, bool]]:
         return [atom for item in below for atom in atoms(item)]
     if tag == "not" and parts(below[0])[0] == "text":
         return [(parse_call(below[0]), False)]
-    raise TaskExportError("the goal joins predicates by `any`, or negates several: only `behavior` can say that")
+    raise TaskExportError(
+        "the goal combines predicates with `any` or negates a compound condition, which only `behavior` supports"
+    )
 
 
 def object_of(name: str) -> str:
-    """Return the object of ``object.part``."""
+    """Return the name of the object in a path such as ``object.part``."""
     return name.partition(".")[0]
 
 
 def support(scene: Scene, name: str) -> SceneObject:
-    """Return the support of an object according to the scene's relations, else the first fixed object."""
+    """Return the object that supports another one in the scene's relations, or otherwise the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
             return scene.object(object_of(relation.args[1]))
     fixed = next((item for item in scene.objects if item.fixed), None)
     if fixed is None:
-        raise TaskExportError(f"nothing tells what `{name}` stands on; add a relation `OnTop({name}, …)` to the scene")
+        raise TaskExportError(f"could not find the support of `{name}`; add a relation `OnTop({name}, …)` to the scene")
     return fixed
 
 
@@ -89,7 +95,7 @@ _BEHAVIOR = {
 }  # fmt: skip
 _JOINED = {"all": "and", "any": "or", "not": "not"}
 _UNSAID = ("Released",)
-"""Predicates that can be omitted: `On` and `In` of the other formats require contact but ignore the gripper."""
+"""Predicates that can be omitted: `On` and `In` in the other formats require contact but ignore the gripper."""
 
 
 def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> str:
@@ -97,9 +103,9 @@ def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> 
     regions: dict[str, list[str]] = {}
     goal = _libero_goal(spec, regions, export) if is_libero else _behavior_goal(spec.goal, names, export)
     if not goal:
-        raise TaskExportError("nothing of the goal can be expressed in this format")
+        raise TaskExportError("this format cannot express any part of the goal")
     init = list(_libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export))
-    # LIBERO chooses the environment class by the name of the problem, and the task by the name of the file.
+    # LIBERO selects the environment class by problem name and the task by file name.
     name = "LIBERO_Tabletop_Manipulation" if is_libero else f"{spec.name or 'task'}-0"
     sections = [f"(define (problem {name})", f"  (:domain {'robosuite' if is_libero else 'omnigibson'})"]
     if is_libero:
@@ -129,14 +135,14 @@ def _kind(item: SceneObject) -> str:
 
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
-    """Return BEHAVIOR's names, which consist of a WordNet synset and a number."""
+    """Return BEHAVIOR's object names, which consist of a WordNet synset and a number, by scene object."""
     counts: dict[str, int] = {}
     names = {}
     for item in scene.objects:
         kind = f"{_kind(item)}.n.01"
         counts[kind] = counts.get(kind, 0) + 1
         names[item.name] = f"{kind}_{counts[kind]}"
-    export.notes.append("synsets: categories stand for them, as `cup.n.01`")
+    export.notes.append("synsets: derived from object categories, as in `cup.n.01`")
     return names
 
 
@@ -144,7 +150,7 @@ def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExpo
     texts = []
     for call, wanted in atoms(spec.goal):
         if call.predicate in _UNSAID:
-            export.notes.append(f"{call}: the format asks nothing of the gripper")
+            export.notes.append(f"{call}: the format ignores the gripper")
         elif call.predicate not in _LIBERO or not wanted:
             raise TaskExportError(f"LIBERO has no predicate for `{'' if wanted else 'not '}{call}`")
         else:
@@ -153,7 +159,7 @@ def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExpo
 
 
 def _region(name: str, regions: dict[str, list[str]]) -> str:
-    """Return the name of an object, or of the region that represents a part of it."""
+    """Return the name of an object, or of the region that represents one of its parts."""
     item, dot, part = name.partition(".")
     if not dot:
         return item
@@ -166,7 +172,7 @@ def _behavior_goal(condition: Any, names: dict[str, str], export: TaskExport) ->
     if tag == "text":
         call = parse_call(below[0])
         if call.predicate in _UNSAID:
-            export.notes.append(f"{call}: the format asks nothing of the gripper")
+            export.notes.append(f"{call}: the format ignores the gripper")
             return None
         if call.predicate not in _BEHAVIOR or any(object_of(arg) not in names for arg in call.args):
             raise TaskExportError(f"BEHAVIOR has no predicate for `{call}`")
@@ -181,7 +187,7 @@ def _behavior_init(spec: TaskSpec, scene: Scene, names: dict[str, str], export: 
         if relation.predicate in ("OnTop", "Inside") and all(arg in names for arg in relation.args):
             yield f"({_BEHAVIOR[relation.predicate]} {' '.join(names[arg] for arg in relation.args)})"
     if spec.reset.objects:
-        export.notes.append("ranges of the reset: the format has none")
+        export.notes.append("reset ranges: the format does not support them")
 
 
 def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], export: TaskExport) -> Iterator[str]:
@@ -198,7 +204,7 @@ def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], ex
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
     for item, joint in ((item, joint) for item, joints in spec.start.joints.items() for joint in joints):
-        export.notes.append(f"position of {item}.{joint} at the start: the format says open, and not how far")
+        export.notes.append(f"initial position of {item}.{joint}: the format only supports open, not a position")
         yield f"(Open {_region(f'{item}.{joint}', regions)})"
 
 
@@ -217,7 +223,7 @@ def _omnigibson(spec: TaskSpec, scene: Scene, export: TaskExport) -> str:
         try:
             found = [_predicate(call, wanted, scene, export) for call, wanted in atoms(subtask.goal)]
         except TaskExportError as error:
-            export.notes.append(f"sub-task `{name}`: {error}")
+            export.notes.append(f"subtask `{name}`: {error}")
             continue
         requires = [m["name"] for m in milestones][-1:]
         milestones += [
@@ -245,7 +251,7 @@ def _omnigibson(spec: TaskSpec, scene: Scene, export: TaskExport) -> str:
 
 def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> dict[str, Any]:
     if call.predicate not in _STATES:
-        raise TaskExportError(f"the release has no state for `{call}`")
+        raise TaskExportError(f"the authors' release has no state that corresponds to `{call}`")
     args = export.args(call)
     objects = {item.name for item in scene.objects}
     group, other = (*(arg if arg in objects else "robot" for arg in args), None)[:2]
@@ -258,14 +264,14 @@ def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> di
 
 
 def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
-    """Return half widths around the scene's poses, the only form that the release supports."""
+    """Return reset ranges as half widths around the scene's poses, which is the only form that the release supports."""
     widths: dict[str, list[float]] = {}
     turns: dict[str, float] = {}
     for name, region in spec.reset.objects.items():
         p = scene.object(name).X_WO.p
         half = [max(abs(end - float(p[k])) for end in ends) for k, ends in enumerate((region.x, region.y))]
         if any(abs(abs(ends[0] - p[k]) - abs(ends[1] - p[k])) > 1e-6 for k, ends in enumerate((region.x, region.y))):
-            export.notes.append(f"region of `{name}`: it is not centered on the scene's pose, and becomes wider")
+            export.notes.append(f"region of `{name}`: it is not centered on the pose in the scene, so it is widened")
         widths[name] = [round(h, 6) for h in half] + [0.0]
         turn = math.radians(max(abs(y) for y in region.yaw_deg))
         if turn:

@@ -1,1 +1,1 @@
-"""Adapters to third-party models, each in one small module that is loaded on demand."""
+"""Adapters for third-party models, each in a small module that is loaded on demand."""

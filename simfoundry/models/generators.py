@@ -1,4 +1,4 @@
-"""HTTP requests to model servers: bounded in time and size; every failure becomes a one-sentence error."""
+"""HTTP requests to model servers, with limits on time and size; every failure is reported as a one-sentence error."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any, Protocol
 
 from simfoundry.errors import SimfoundryError
 
-TIMEOUT_S = 300.0  # Response timeout of a server [s]: mesh generators take a minute or two
+TIMEOUT_S = 300.0  # Response timeout [s]; mesh generators take a minute or two
 
-MAX_BYTES = 256 * 2**20  # Largest answer [bytes]: no usable picture or mesh is larger
+MAX_BYTES = 256 * 2**20  # Maximum response size [bytes]; no usable image or mesh is larger
 
-MAX_QUOTE = 300  # Length of a server's error text that is quoted [characters]: its first sentences
+MAX_QUOTE = 300  # Maximum length of a quoted server error [characters], enough for the first sentences
 
-FormFile = tuple[str, tuple[str, bytes, str]]  # A file of a multipart form: field, then file name, data and media type
+FormFile = tuple[str, tuple[str, bytes, str]]  # A file in a form: field name, then file name, data, media type
 
 
 class ModelError(SimfoundryError):
-    """A model without a usable answer; the message states the model, the reason, and the remedy."""
+    """An error for a model that returned no usable response; the message states the model, the reason, and the fix."""
 
 
 def post(
@@ -34,15 +34,16 @@ def post(
     timeout_s: float = TIMEOUT_S,
     max_bytes: int = MAX_BYTES,
 ) -> bytes:
-    """Send a POST with a JSON body or a multipart form and return the body of the answer.
+    """Send a POST request with a JSON body or a multipart form, and return the response body.
 
-    ``server`` names the server in errors, such as `the image model`. Raises :class:`ModelError` for an address that is
-    not HTTP, no answer within ``timeout_s``, an error status, and answers larger than ``max_bytes``.
+    ``server`` is the name of the server for error messages, such as `the image model`. Raises :class:`ModelError` if
+    the URL is not HTTP, the server does not respond within ``timeout_s`` or returns an error status, or the response is
+    larger than ``max_bytes``.
     """
     import httpx
 
     if not url.startswith(("http://", "https://")):
-        raise ModelError(f"{server} needs an address that starts with http:// or https://, not `{url}`")
+        raise ModelError(f"the URL of {server} must start with http:// or https://, not `{url}`")
     body: dict[str, Any] = {"json": json} if json is not None else {"data": form, "files": list(files)}
     try:
         with httpx.stream("POST", url, **body, headers=headers, timeout=timeout_s, follow_redirects=True) as answer:
@@ -50,41 +51,41 @@ def post(
             for chunk in answer.iter_bytes():
                 data += chunk
                 if len(data) > max_bytes:
-                    raise ModelError(f"{server} at {url} answered with more than {max_bytes // 2**20} MiB")
+                    raise ModelError(f"{server} at {url} returned more than {max_bytes // 2**20} MiB")
     except (httpx.HTTPError, httpx.InvalidURL) as error:
         reason = str(error) or type(error).__name__
         raise ModelError(
-            f"{server} at {url} does not answer ({reason}); is it running, and is the address right?"
+            f"{server} at {url} did not respond ({reason}); is it running, and is the URL correct?"
         ) from None
     if not answer.is_success:
         quote = " ".join(data[:MAX_QUOTE].decode(errors="replace").split())
-        raise ModelError(f"{server} at {url} answered {answer.status_code} {answer.reason_phrase}: {quote}")
+        raise ModelError(f"{server} at {url} returned {answer.status_code} {answer.reason_phrase}: {quote}")
     return data
 
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
 
-# Environment variables with the address, the name and the key of the image model; the key is stored nowhere else.
+# Environment variables with the URL, name and API key of the image model; the key is not stored anywhere else.
 IMAGES_URL, IMAGES_MODEL, IMAGES_KEY = "SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_IMAGES_KEY"
 
 
 class ImageEditor(Protocol):
-    """Interface of models that edit pictures."""
+    """The interface of image-editing models."""
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """Return a PNG edited from the first of ``pictures`` (PNG or JPEG); raises :class:`ModelError`."""
+        """Edit the first of ``pictures`` (PNG or JPEG) and return the result as a PNG; raises :class:`ModelError`."""
         ...
 
 
 @dataclass(frozen=True)
 class HttpImages:
-    """Editor behind the OpenAI images API: ``POST {url}/images/edits``, which several servers implement.
+    """An image editor behind the OpenAI images API, ``POST {url}/images/edits``, which several servers implement.
 
-    https://platform.openai.com/docs/api-reference/images/createEdit: multipart, up to 16 pictures as ``image[]``;
-    ``background: transparent`` requires ``output_format`` png or webp, and only GPT image models accept these two; they
-    answer with ``data[0].b64_json`` and reject ``response_format``. OpenAI's own client documents the same:
-    https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
+    See https://platform.openai.com/docs/api-reference/images/createEdit. The request is a multipart form with up to 16
+    images as ``image[]``. ``background: transparent`` requires ``output_format`` png or webp, and only GPT image models
+    accept these two parameters; these models return ``data[0].b64_json`` and reject ``response_format``. OpenAI's
+    client documents the same: https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
     """
 
     url: str
@@ -93,9 +94,9 @@ class HttpImages:
     timeout_s: float = TIMEOUT_S
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """Return the edited picture, with a transparent background."""
+        """Return the edited image, with a transparent background."""
         if not pictures:
-            raise ModelError("the image model needs a picture to edit")
+            raise ModelError("the image model requires an image to edit")
         fields = {"model": self.model, "prompt": prompt, "background": "transparent", "output_format": "png", "n": "1"}
         files = [("image[]", _form_file(k, picture)) for k, picture in enumerate(pictures)]
         headers = {"Accept": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
@@ -105,61 +106,68 @@ class HttpImages:
 
 
 def images_from_environment(environment: Mapping[str, str] | None = None, model: str | None = None) -> HttpImages:
-    """Return the image model that the environment names, or ``model`` on its server.
+    """Return the image model configured in the environment; ``model`` overrides the model name.
 
     Raises :class:`ModelError` if a variable is missing.
     """
     env = os.environ if environment is None else environment
     missing = [name for name in (IMAGES_URL, IMAGES_MODEL) if not (env.get(name) or (name == IMAGES_MODEL and model))]
     if missing:
-        message = f"no image model: set {' and '.join(missing)}, and {IMAGES_KEY} where the server wants a key"
+        message = f"no image model is configured: set {' and '.join(missing)}, and {IMAGES_KEY} if a key is required"
         raise ModelError(message)
     return HttpImages(env[IMAGES_URL], model or env[IMAGES_MODEL], env.get(IMAGES_KEY, ""))
 
 
 def _form_file(k: int, data: bytes) -> tuple[str, bytes, str]:
-    """Return the file name, data and media type of a picture."""
+    """Return the file name, data and media type of an image."""
     if data.startswith(PNG):
         return f"picture_{k}.png", data, "image/png"
     if data.startswith(JPEG):
         return f"picture_{k}.jpg", data, "image/jpeg"
-    raise ModelError("pictures for the image model must be PNG or JPEG")
+    raise ModelError("images for the image model must be PNG or JPEG")
 
 
 def _picture(answer: bytes, url: str) -> bytes:
     try:
         data = base64.b64decode(json.loads(answer)["data"][0]["b64_json"], validate=True)
     except (ValueError, KeyError, IndexError, TypeError):
-        raise ModelError(f"the image model at {url} answered without a picture in data[0].b64_json") from None
+        raise ModelError(f"the image model at {url} did not return an image in data[0].b64_json") from None
     if not data.startswith((PNG, JPEG)):
-        raise ModelError(f"the image model at {url} answered with data that is neither PNG nor JPEG")
+        raise ModelError(f"the image model at {url} returned data that is neither PNG nor JPEG")
     return data
 
 
-MESHES_URL = "SIMFOUNDRY_MESHES_URL"  # Environment variable with the address of the mesh model
+MESHES_URL = "SIMFOUNDRY_MESHES_URL"  # Environment variable with the URL of the mesh model
 
 GLB = b"glTF"
 
-SEEDS = 2**32  # Exclusive upper bound of the seeds that servers accept
+SEEDS = 2**32  # Exclusive upper bound on the seeds that servers accept
 
 
 class MeshMaker(Protocol):
-    """Interface of models that make meshes from pictures."""
+    """The interface of models that generate meshes from images."""
 
     def make(self, picture: bytes, seed: int) -> bytes:
-        """Return a GLB, y up, any unit, of a PNG with a transparent background; raises :class:`ModelError`."""
+        """Generate a mesh from a PNG with a transparent background.
+
+        Returns:
+            A GLB with y up and arbitrary units.
+
+        Raises:
+            ModelError: The model did not return a usable mesh.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class HttpMeshes:
-    """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``: ``POST {url}/generate`` answers with a GLB.
+    """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``, where ``POST {url}/generate`` returns a GLB.
 
-    https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py, and Hunyuan3D-2.1 with the fields of
-    https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py: ``image`` in base64, ``seed`` below 2^32,
-    ``texture`` and, only with it, ``face_count`` from 1,000 to 100,000; only the first accepts ``type``, and both
-    return a GLB by default. Texturing needs a server started with ``--enable_tex``; all failures are answered with 404.
-    ``faces`` is the number of triangles to keep.
+    The API is defined in https://github.com/Tencent-Hunyuan/Hunyuan3D-2/blob/main/api_server.py for Hunyuan3D-2 and in
+    https://github.com/Tencent-Hunyuan/Hunyuan3D-2.1/blob/main/api_models.py for Hunyuan3D-2.1. The fields are ``image``
+    in base64, ``seed`` below 2^32, ``texture`` and, only with texture, ``face_count`` from 1,000 to 100,000. Only
+    Hunyuan3D-2 accepts ``type``; both versions return a GLB by default. Texturing requires a server that was started
+    with ``--enable_tex``. All failures are reported with status 404. ``faces`` is the number of triangles to keep.
     """
 
     url: str
@@ -168,7 +176,7 @@ class HttpMeshes:
     timeout_s: float = TIMEOUT_S
 
     def make(self, picture: bytes, seed: int) -> bytes:
-        """Return the mesh of a picture."""
+        """Generate a mesh from an image and return it as a GLB."""
         asked = {
             "image": base64.b64encode(picture).decode(),
             "seed": seed % SEEDS,
@@ -181,17 +189,17 @@ class HttpMeshes:
             data = post(url, "the mesh model", json=asked, timeout_s=self.timeout_s)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
-                hint = "; was it started with --enable_tex? otherwise set `texture: false` in the recipe's `models`"
+                hint = "; was it started with --enable_tex? If not, set `texture: false` in the recipe's `models`"
                 raise ModelError(f"{error}{hint}") from None
             raise
         if not data.startswith(GLB):
-            raise ModelError(f"the mesh model at {self.url} answered with data that is not a GLB")
+            raise ModelError(f"the mesh model at {self.url} returned data that is not a GLB")
         return data
 
 
 def meshes_from_environment(environment: Mapping[str, str] | None = None, texture: bool = True) -> HttpMeshes:
-    """Return the mesh model that the environment names; raises :class:`ModelError` if the variable is missing."""
+    """Return the mesh model configured in the environment; raises :class:`ModelError` if the variable is missing."""
     env = os.environ if environment is None else environment
     if not env.get(MESHES_URL):
-        raise ModelError(f"no mesh model: set {MESHES_URL} to the address of a server with Hunyuan3D-2's API")
+        raise ModelError(f"no mesh model is configured: set {MESHES_URL} to the URL of a server with Hunyuan3D-2's API")
     return HttpMeshes(env[MESHES_URL], texture)

@@ -1,8 +1,9 @@
-"""Vision-language models: a prompt and pictures in, a typed answer or text out.
+"""Vision-language models, which take a prompt and images and return a typed response or text.
 
-The name selects the provider, such as ``openai:gpt-5``, ``google:gemini-3-pro`` or ``anthropic:claude-opus-4``; any
-server with an OpenAI-compatible API is selected by its address. Keys come only from the environment, under the names
-that the providers use. pydantic-ai does the work, and is not exposed outside of this module.
+The model name selects the provider, for example ``openai:gpt-5``, ``google:gemini-3-pro`` or
+``anthropic:claude-opus-4``. Any server with an OpenAI-compatible API can be selected by its URL. API keys are read only
+from the environment variables that the providers define. The implementation uses pydantic-ai, which is not exposed
+outside this module.
 """
 
 from __future__ import annotations
@@ -19,34 +20,35 @@ from simfoundry.runtime.extras import install_line
 if TYPE_CHECKING:
     from pydantic_ai.models import Model
 
-TIMEOUT_S = 120.0  # Time for one answer [s]: thinking models take up to a minute
+TIMEOUT_S = 120.0  # Time limit for one response [s]; thinking models take up to a minute
 
-MAX_TOKENS = 16_000  # Tokens of one answer, thinking included: a task proposal takes about 2,000 without thinking
+MAX_TOKENS = 16_000  # Maximum tokens per response, including thinking; a task proposal takes about 2,000 without it
 
-# Bounds of the pictures in one request [bytes, count]: providers refuse requests of about 20 MB.
+# Limits on the images in one request [bytes, count]; providers reject requests larger than about 20 MB.
 MAX_BYTES, MAX_PICTURES = 10 * 2**20, 16
 
-MAX_PROMPT = 200_000  # Longest prompt [characters]: about 50,000 tokens, which every current model takes
+MAX_PROMPT = 200_000  # Maximum prompt length [characters]; about 50,000 tokens, which every current model accepts
 
-RETRIES = 2  # Number of times that a model is asked to correct the form of its answer
+RETRIES = 2  # Number of times a model is asked to correct the format of its response
 
 KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
 
-# Form of a request for a typed answer: by the model's own JSON schema, as a tool call, or in the prompt.
+# Method of requesting a typed response: native structured output (JSON schema), a tool call, or the prompt.
 Mode = Literal["native", "tool", "prompt"]
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class VlmError(SimfoundryError):
-    """A model without a usable answer; the message states the reason and the remedy."""
+    """An error for a model that returned no usable response; the message states the reason and the fix."""
 
 
 class Vlm:
-    """One model. ``model`` is its name, or a model of pydantic-ai, as in tests.
+    """A vision-language model.
 
-    ``base_url`` is the address of a server with an OpenAI-compatible API; its key, if it needs one, is
-    ``OPENAI_API_KEY`` in the environment. ``temperature`` is the provider's default if None.
+    ``model`` is a model name or, as in tests, a pydantic-ai model. ``base_url`` is the URL of a server with an
+    OpenAI-compatible API; if the server requires a key, it is read from the environment variable ``OPENAI_API_KEY``. If
+    ``temperature`` is None, the provider's default is used.
     """
 
     def __init__(
@@ -67,11 +69,14 @@ class Vlm:
 
     @property
     def name(self) -> str:
-        """Name of the model."""
+        """The name of the model."""
         return str(self._model.model_name)
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[Answer]) -> Answer:
-        """Return a typed answer. ``pictures`` are the bytes of PNG or JPEG files. Raises :class:`VlmError`."""
+        """Send a prompt and return a response of the type ``answer``.
+
+        ``pictures`` contains the bytes of PNG or JPEG files. Raises :class:`VlmError`.
+        """
         from pydantic_ai import NativeOutput, PromptedOutput, ToolOutput
 
         kind: Any = {"native": NativeOutput, "tool": ToolOutput, "prompt": PromptedOutput}[self._mode]
@@ -80,7 +85,7 @@ class Vlm:
         return found
 
     def ask_text(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
-        """Return an answer as text. Raises :class:`VlmError`."""
+        """Send a prompt and return the response as text. Raises :class:`VlmError`."""
         return str(self._run(prompt, pictures, str))
 
     def _run(self, prompt: str, pictures: Sequence[bytes], output: Any) -> Any:
@@ -94,23 +99,21 @@ class Vlm:
                 _message(prompt, pictures), model_settings=self._settings, usage_limits=limits, timeout=self._budget
             )
         except exceptions.ModelHTTPError as error:
-            hint = "; is its key right?" if error.status_code in (401, 403) else ""
-            raise VlmError(
-                f"{self.name} answered with status {error.status_code}: {_short(error.body)}{hint}"
-            ) from None
+            hint = "; is the API key correct?" if error.status_code in (401, 403) else ""
+            raise VlmError(f"{self.name} returned status {error.status_code}: {_short(error.body)}{hint}") from None
         except exceptions.UnexpectedModelBehavior as error:
             raise VlmError(
-                f"{self.name} gave no answer of the right form in {RETRIES + 1} tries: {_short(error)}"
+                f"{self.name} did not return a valid response in {RETRIES + 1} attempts: {_short(error)}"
             ) from None
         except exceptions.AgentRunError as error:
-            raise VlmError(f"{self.name} gave no answer: {_short(error)}") from None
+            raise VlmError(f"{self.name} did not return a response: {_short(error)}") from None
         except (OSError, TimeoutError) as error:
-            raise VlmError(f"{self.name} cannot be reached: {_short(error) or 'it took too long'}") from None
+            raise VlmError(f"could not reach {self.name}: {_short(error) or 'the request timed out'}") from None
         return result.output
 
     @property
     def _budget(self) -> float:
-        """Time limit for all tries together [s]."""
+        """Return the total time limit for all attempts [s]."""
         return self._timeout_s * (RETRIES + 1)
 
 
@@ -119,7 +122,7 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         from pydantic_ai.exceptions import UserError
         from pydantic_ai.models import infer_model
     except ImportError:
-        raise VlmError(f"vision-language models need pydantic-ai; install with `{install_line('vlm')}`") from None
+        raise VlmError(f"vision-language models require pydantic-ai; install with `{install_line('vlm')}`") from None
     if not isinstance(model, str):
         return model
     try:
@@ -129,25 +132,25 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         from pydantic_ai.providers.openai import OpenAIProvider
 
         if not base_url.startswith(("http://", "https://")):
-            raise VlmError(f"the address of a model must start with http:// or https://, not `{base_url}`")
+            raise VlmError(f"the URL of a model must start with http:// or https://, not `{base_url}`")
         key = os.environ.get("OPENAI_API_KEY") or "none"  # self-hosted servers rarely require one
         return OpenAIChatModel(model.removeprefix("openai:"), provider=OpenAIProvider(base_url=base_url, api_key=key))
     except ImportError as error:
-        raise VlmError(f"`{model}` needs the package `{error.name}`; install with `{install_line('vlm')}`") from None
+        raise VlmError(f"`{model}` requires the package `{error.name}`; install with `{install_line('vlm')}`") from None
     except (UserError, ValueError) as error:
         raise VlmError(f"`{model}` cannot be used: {_short(error)}") from None
 
 
 def _message(prompt: str, pictures: Sequence[bytes]) -> list[Any]:
-    """Return the pictures, followed by the prompt."""
+    """Return the message parts: the images, followed by the prompt."""
     from pydantic_ai import BinaryContent
 
     if len(prompt) > MAX_PROMPT:
-        raise VlmError(f"a prompt has at most {MAX_PROMPT} characters, not {len(prompt)}")
+        raise VlmError(f"the prompt has {len(prompt)} characters; the maximum is {MAX_PROMPT}")
     size = sum(map(len, pictures))
     if len(pictures) > MAX_PICTURES or size > MAX_BYTES:
-        most = f"{MAX_PICTURES} pictures of {MAX_BYTES / 2**20:.0f} MiB together"
-        raise VlmError(f"at most {most} are sent, not {len(pictures)} of {size / 2**20:.1f} MiB; make them smaller")
+        most = f"{MAX_PICTURES} images and {MAX_BYTES / 2**20:.0f} MiB in total"
+        raise VlmError(f"cannot send {len(pictures)} images of {size / 2**20:.1f} MiB; use at most {most}")
     return [*(BinaryContent(data=data, media_type=_kind(data)) for data in pictures), prompt]
 
 
@@ -155,7 +158,7 @@ def _kind(data: bytes) -> str:
     for start, kind in KINDS:
         if data.startswith(start):
             return kind
-    raise VlmError("a picture for a model must be a PNG or a JPEG")
+    raise VlmError("images for a model must be PNG or JPEG")
 
 
 def _short(what: object) -> str:

@@ -1,7 +1,8 @@
-"""Predicates: spatial relations and states of objects, judged equally on the state of every simulator.
+"""Predicates that describe spatial relations and states of objects, evaluated the same way for every simulator.
 
-Each module of this package defines related predicates; :mod:`~simfoundry.predicates.judging` measures and judges.
-``simfoundry check`` also imports these modules and must not load numpy, so the judge is imported on first use.
+Each module in this package defines a group of related predicates; :mod:`~simfoundry.predicates.judging` measures and
+evaluates them. Because ``simfoundry check`` imports these modules and must not load numpy, the judge is imported on
+first use.
 """
 
 from __future__ import annotations

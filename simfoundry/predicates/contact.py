@@ -1,4 +1,4 @@
-"""``Touching``, ``OnTop`` and ``Inside``: contact between two objects, support and containment."""
+"""``Touching``, ``OnTop`` and ``Inside``: contact, support and containment."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 
 def touching(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the distance is no more than :data:`TOUCH`."""
+    """Require that the distance between two entities is at most :data:`TOUCH`."""
     gap = terms.context.distances.between(terms.view, a, b, TOUCH)
     terms.require(gap, TOUCH - gap, lambda v, ok: terms.gap_text(a, b, v))
 
 
 TOUCHING = Predicate(
     "Touching",
-    "the two touch",
+    "the two objects touch",
     ("body", "body"),
     touching,
     f"their surfaces are at most {TOUCH * 1000:g} mm apart",
@@ -38,7 +38,9 @@ TOUCHING = Predicate(
 
 
 STEEP_SCALE = 0.01
-"""Margin [m] per unit of the support cosine: comparable to the other margins of objects at rest, a few millimeters."""
+"""Conversion from the cosine of the support angle to a margin [m]. The result is comparable to the other margins of
+objects at rest, which are a few millimeters.
+"""
 
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:
@@ -62,21 +64,22 @@ def on_top(terms: Terms, a: Entity, b: Entity) -> None:
 
 ON_TOP = Predicate(
     "OnTop",
-    "the first rests on top of the second",
+    "the first object rests on top of the second",
     ("thing", "thing"),
     on_top,
     f"`b` supports `a`: `b` is at most {TOUCH * 1000:g} mm from `a` and pushes it within {SUPPORT_DEG:g} deg of "
-    f"straight up, with {FRICTION_SHARE:g} of the friction angle credited; the center of mass of `a` is over the "
+    f"straight up, crediting {FRICTION_SHARE:.0%} of the friction angle; the center of mass of `a` is over the "
     f"outline of `b`, or `a` also touches another object; if `b` is farther away than {CLOSE * 1000:g} mm, no object "
-    f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it. An object "
-    "in a bowl rests on the bowl, one on a hook rests on the hook, and one that leans on an edge rests on the edge",
+    f"closer than that supports `a`; `a` moves no faster than {SETTLED * 100:g} cm/s and is not held by a robot. For "
+    "example, an object in a bowl rests on the bowl, an object on a hook rests on the hook, and an object that leans "
+    "on an edge rests on the edge",
     effect=Effect.PLACE,
     aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
 )
 
 
 def inside(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that half of ``a`` is in a suitable cavity of ``b``, that ``a`` is at rest and not held by a robot."""
+    """Require that at least half of ``a`` is in a cavity of ``b``, and that ``a`` is at rest and not held."""
     import numpy as np
 
     from simfoundry.predicates.judging.distances import FAR
@@ -88,8 +91,8 @@ def inside(terms: Terms, a: Entity, b: Entity) -> None:
 
     def text(v: float, ok: bool) -> str:
         if not np.isfinite(v):
-            return f"`{b.name}` is turned so that it cannot contain an object"
-        where = "deep in the cavity" if ok else "outside of the cavity"
+            return f"`{b.name}` is turned so far that it cannot contain an object"
+        where = "deep in the cavity" if ok else "outside the cavity"
         return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
 
     terms.require(depth, np.where(np.isfinite(depth), depth, -FAR), text)
@@ -99,11 +102,12 @@ def inside(terms: Terms, a: Entity, b: Entity) -> None:
 
 INSIDE = Predicate(
     "Inside",
-    "the first is in the cavity of the second",
+    "the first object is in a cavity of the second",
     ("thing", "thing"),
     inside,
     f"at least {ENCLOSED:.0%} of the volume of `a` is in the cavity of `b`, whose opening points at most "
-    f"{FACING_DOWN_DEG:g} deg away from up; `a` moves no faster than {SETTLED * 100:g} cm/s, and no robot holds it",
+    f"{FACING_DOWN_DEG:g} deg away from straight up; `a` moves no faster than {SETTLED * 100:g} cm/s and is not held "
+    "by a robot",
     effect=Effect.PLACE,
     aliases=("inside", "In", "InsideAABB"),
 )

@@ -1,4 +1,4 @@
-"""``Grasped``, ``Lifted`` and ``Released``: an object and the robots that may hold it."""
+"""``Grasped``, ``Lifted`` and ``Released``: relations between an object and the robots that may hold it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
-    """Require that the fingers of one gripper touch ``a`` on both sides and press against each other."""
+    """Require that the fingers of one gripper touch ``a`` on both sides and press against it."""
     from simfoundry.predicates.judging.bodies import PredicateError
     from simfoundry.predicates.judging.fingers import grip_margin
 
@@ -28,7 +28,7 @@ def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
 
 GRASPED = Predicate(
     "Grasped",
-    "it is held, by the named robot or by any",
+    "the object is held by the given robot, or by any robot",
     ("thing", "robot"),
     grasped,
     f"both sides of one gripper are at most {TOUCH * 1000:g} mm from `a`, and moving either side {PRESS * 1000:g} mm "
@@ -42,11 +42,13 @@ GRASPED = Predicate(
 
 
 RISE = 0.02
-"""Least rise [m] above the initial height: well above that of a pushed or tilted object, below that of a short lift."""
+"""Minimum rise [m] above the initial height, which is well above the rise of a pushed or tilted object and below that
+of a short lift.
+"""
 
 
 def lifted(terms: Terms, a: Entity) -> None:
-    """Require that ``a`` is higher than at the start and touches no object except those that it supports."""
+    """Require that ``a`` is higher than in the initial state and touches no object except those that it supports."""
     from functools import partial
 
     from simfoundry.predicates.judging.measurements import gap_to_others
@@ -55,7 +57,7 @@ def lifted(terms: Terms, a: Entity) -> None:
     rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
 
     def text(v: float, _: bool) -> str:
-        return f"`{a.name}` is {length(abs(v))} {'higher' if v >= 0 else 'lower'} than at the start"
+        return f"`{a.name}` is {length(abs(v))} {'higher' if v >= 0 else 'lower'} than initially"
 
     terms.require(rise, rise - RISE, text)
     terms.require_if_open(
@@ -67,11 +69,11 @@ def lifted(terms: Terms, a: Entity) -> None:
 
 LIFTED = Predicate(
     "Lifted",
-    "it is lifted off its support",
+    "the object is lifted off its support",
     ("thing",),
     lifted,
-    f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the scene, and no object is within "
-    f"{TOUCH * 1000:g} mm of it except those that it supports",
+    f"the lowest point of `a` is at least {RISE * 100:g} cm higher than in the initial state, and no object is within "
+    f"{TOUCH * 1000:g} mm of `a` except objects that it supports",
     effect=Effect.GRASP,
     aliases=("lifted", "Up"),
     before_motion=False,
@@ -92,7 +94,7 @@ def released(terms: Terms, a: Entity) -> None:
 
 RELEASED = Predicate(
     "Released",
-    "no robot touches it and it is at rest",
+    "the object is at rest, and no robot touches it",
     ("thing",),
     released,
     f"no robot is within {TOUCH * 1000:g} mm of `a`, and `a` moves no faster than {SETTLED * 100:g} cm/s",

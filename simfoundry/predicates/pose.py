@@ -1,4 +1,4 @@
-"""``At``, ``Upright``, ``Open`` and ``Closed``: the pose of one object, or the position of its joints."""
+"""``At``, ``Upright``, ``Open`` and ``Closed``: the pose of an object, or the positions of its joints."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.judge import Terms
 
 AT_DISTANCE = 0.02
-"""Largest distance [m] from the point: about half the width of an object that a gripper can grasp."""
+"""Maximum distance [m] from the point, which is about half the width of an object that a gripper can grasp."""
 
 
 def at(terms: Terms, a: Entity, *point: float) -> None:
-    """Require that the frame of ``a`` is near ``point`` [m], with two or three world coordinates."""
+    """Require that the origin of ``a`` is close to ``point``, given as two or three world coordinates [m]."""
     import numpy as np
 
     from simfoundry.scene.lengths import length
@@ -27,21 +27,21 @@ def at(terms: Terms, a: Entity, *point: float) -> None:
 
 AT = Predicate(
     "At",
-    "the object is at x, y and, if given, z in the world [m]",
+    "the object is at the world coordinates x, y and, optionally, z [m]",
     ("thing", "number", "number", "number"),
     at,
-    f"the origin of `a` is at most {AT_DISTANCE * 100:g} cm from the point; without z, in the horizontal plane",
+    f"the origin of `a` is at most {AT_DISTANCE * 100:g} cm from the point; without z, the distance is horizontal",
     optional=1,
     effect=Effect.MOVE,
 )
 
 
 UPRIGHT_DEG = 10.0
-"""Largest tilt [deg]: standing objects tilt less after settling, fallen objects far more."""
+"""Maximum tilt [deg]; after settling, upright objects tilt less than this, and fallen objects far more."""
 
 
 def upright(terms: Terms, a: Entity) -> None:
-    """Require that the angle between the z axis of ``a`` and up is at most :data:`UPRIGHT_DEG`."""
+    """Require that the angle between the z axis of ``a`` and the vertical is at most :data:`UPRIGHT_DEG`."""
     import numpy as np
 
     z = terms.view.frame(a).R[:, :, 2]
@@ -51,7 +51,7 @@ def upright(terms: Terms, a: Entity) -> None:
 
 UPRIGHT = Predicate(
     "Upright",
-    "its z axis points up",
+    "the object's z axis points up",
     ("thing",),
     upright,
     f"the z axis of `a` is at most {UPRIGHT_DEG:g} deg from vertical",
@@ -61,11 +61,12 @@ UPRIGHT = Predicate(
 
 
 OPEN_SHARE = 0.10
-"""Share of a joint's range from its closed end beyond which it counts as open (OmniGibson's rule)."""
+"""Fraction of a joint's range, measured from the closed end, beyond which the joint counts as open (as in OmniGibson).
+"""
 
 
 def _opening(closed: bool, terms: Terms, joints: Joints) -> None:
-    """Require that each joint is open by more than :data:`OPEN_SHARE`, or by no more than that if ``closed``."""
+    """Require that each joint is open by more than :data:`OPEN_SHARE`, or by at most that if ``closed`` is set."""
     import numpy as np
 
     for joint in joints.joints:
@@ -84,9 +85,9 @@ OPEN = Predicate(
     "the joint, or every joint of the object, is open",
     ("joint",),
     partial(_opening, False),
-    f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
-    "has limits. The closed end is the limit that the joint's key `closed` names, or else zero, or the limit that is "
-    "closest to zero",
+    f"the joint is more than {OPEN_SHARE:.0%} of its range away from its closed end; for an object, this applies to "
+    "every joint that has limits. The closed end is the limit specified by the joint's key `closed`, or otherwise the "
+    "position within the limits that is closest to zero",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("open",),
@@ -96,8 +97,8 @@ CLOSED = Predicate(
     "the joint, or every joint of the object, is closed",
     ("joint",),
     partial(_opening, True),
-    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, every joint that "
-    "has limits",
+    f"the joint is at most {OPEN_SHARE:.0%} of its range away from its closed end; for an object, this applies to "
+    "every joint that has limits",
     unit="m or rad",
     effect=Effect.JOINT,
     aliases=("closed", "Close"),

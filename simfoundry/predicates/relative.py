@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.view import View
 
 AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
-"""Axis of the viewer's frame (0 away, 1 left) and the sign along it."""
+"""The axis of the viewer's frame (0 points away, 1 points left) and the direction along it."""
 
 
 def viewer_axis(viewer: Pose | None, column: int) -> Array:
-    """Horizontal unit vector away from the viewer (0) or to its left (1), shape (3,)."""
+    """Return the horizontal unit vector that points away from the viewer (0) or to its left (1), shape (3,)."""
     import numpy as np
 
     x, y = (1.0, 0.0) if viewer is None else viewer.rotation[:2, 0]
@@ -28,11 +28,11 @@ def viewer_axis(viewer: Pose | None, column: int) -> Array:
 
 
 LEVEL = 1e-6
-"""Length of the horizontal part of a unit vector below which the viewer looks straight up or down."""
+"""Length of the horizontal component of the unit viewing direction below which the viewer looks straight up or down."""
 
 
 def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that the middle of each object is beyond the other's edge along the axis of ``name``."""
+    """Require that the middle of each object is beyond the edge of the other object along the axis of ``name``."""
     import numpy as np
 
     from simfoundry.scene.lengths import length
@@ -45,8 +45,8 @@ def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
 
     def text(v: float, ok: bool) -> str:
         if ok:
-            return f"`{a.name}` is {words} `{b.name}`: each middle is {length(v)} or more beyond the other's edge"
-        return f"`{a.name}` is not {words} `{b.name}`: their middles are {length(-v)} short of being side by side"
+            return f"`{a.name}` is {words} `{b.name}`: each middle is at least {length(v)} beyond the other's edge"
+        return f"`{a.name}` is not {words} `{b.name}`: it would have to be {length(-v)} farther in that direction"
 
     terms.require(off - half, off - half, text)
 
@@ -57,25 +57,25 @@ def _side(name: str, alias: str, meaning: str) -> Predicate:
         meaning,
         ("thing", "thing"),
         partial(_beside, name, alias.replace("_", " ")),
-        "in the named direction, as seen from the viewpoint, the middle of `a` is beyond all of `b`, and all of `a` is "
+        "seen from the viewpoint, in the given direction, the middle of `a` is beyond all of `b`, and all of `a` is "
         "beyond the middle of `b`",
         effect=Effect.MOVE,
         aliases=(alias,),
     )
 
 
-LEFT_OF = _side("LeftOf", "left_of", "the first is left of the second, seen from the viewpoint")
-RIGHT_OF = _side("RightOf", "right_of", "the first is right of the second, seen from the viewpoint")
-IN_FRONT_OF = _side("InFrontOf", "in_front_of", "the first is nearer to the viewpoint than the second")
-BEHIND = _side("Behind", "behind", "the first is farther from the viewpoint than the second")
+LEFT_OF = _side("LeftOf", "left_of", "the first object is to the left of the second, as seen from the viewpoint")
+RIGHT_OF = _side("RightOf", "right_of", "the first object is to the right of the second, as seen from the viewpoint")
+IN_FRONT_OF = _side("InFrontOf", "in_front_of", "the first object is closer to the viewpoint than the second")
+BEHIND = _side("Behind", "behind", "the first object is farther from the viewpoint than the second")
 
 
 NEAR_SHARE = 1 / 6
-"""Largest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
+"""Maximum horizontal gap as a fraction of the sum of the mean extents (as in OmniGibson)."""
 
 
 def next_to(terms: Terms, a: Entity, b: Entity) -> None:
-    """Require overlapping heights, a gap that is small relative to the sizes, and that neither is above the other."""
+    """Require that the heights overlap, the gap is small relative to the sizes, and neither is above the other."""
     import numpy as np
 
     from simfoundry.predicates.judging.view import ground_gap, over
@@ -95,30 +95,32 @@ def next_to(terms: Terms, a: Entity, b: Entity) -> None:
         return np.asarray(np.maximum(over(one.middle, other), over(other.middle, one)))
 
     def gap_text(v: float, ok: bool) -> str:
-        nearer = "nearer to" if ok else "farther from"
-        return f"`{a.name}` is {length(abs(v))} {nearer} `{b.name}` than side by side allows"
+        nearer = "closer to" if ok else "farther from"
+        return f"`{a.name}` is {length(abs(v))} {nearer} `{b.name}` than the limit"
 
     (low_a, high_a), (low_b, high_b) = terms.view.heights(a), terms.view.heights(b)
     level = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
-    terms.require(level, level, lambda v, ok: "" if ok else f"one is {length(-v)} higher than the other")
+    terms.require(level, level, lambda v, ok: "" if ok else f"one object is {length(-v)} above the other")
     terms.require_if_open(spare_gap, lambda v: v, gap_text)
-    terms.require_if_open(overlap, lambda v: -v, lambda v, ok: "" if ok else f"one is over the other, by {length(v)}")
+    terms.require_if_open(
+        overlap, lambda v: -v, lambda v, ok: "" if ok else f"one object is over the other by {length(v)}"
+    )
 
 
 NEXT_TO = Predicate(
     "NextTo",
-    "the two stand side by side",
+    "the two objects are side by side",
     ("thing", "thing"),
     next_to,
-    "their horizontal gap is at most a sixth of the sum of their mean extents, their height ranges overlap, and "
-    "neither is over the other",
+    "the horizontal gap between `a` and `b` is at most a sixth of the sum of their mean extents, their height ranges "
+    "overlap, and neither is over the other",
     effect=Effect.MOVE,
     aliases=("nextto", "next_to"),
 )
 
 
 def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> None:
-    """Require that ``b`` is on one ``side`` of the middle of ``a``, ``over`` or ``under``, and not on the other."""
+    """Require that ``b`` is ``over`` or ``under`` the middle of ``a``, depending on ``side``, but not both."""
     import numpy as np
 
     from simfoundry.predicates.judging.measurements import Meeting, meet
@@ -126,7 +128,7 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> N
     from simfoundry.scene.lengths import length
 
     beside = over(terms.view.boxes(a).middle, terms.view.boxes(b))
-    terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} beside `{b.name}`")
+    terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} to the side of `{b.name}`")
     met: list[Meeting] = []
 
     def wanted(view: View) -> Array:
@@ -140,14 +142,14 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> N
     terms.require_if_open(
         wanted,
         lambda v: v,
-        lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}straight {side} the middle of `{a.name}`",
+        lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}directly {side} the middle of `{a.name}`",
     )
     terms.require_if_open(excluded, lambda v: -v, lambda v, ok: "" if ok else f"`{b.name}` is also {opposite} it")
 
 
 ABOVE = Predicate(
     "Above",
-    "the first is above the second, touching or not",
+    "the first object is above the second, whether or not they touch",
     ("thing", "thing"),
     partial(_vertical, "under", "over"),
     "the plumb line through the middle of `a` intersects `b` below `a` and not above it; `a` may be held",
@@ -156,7 +158,7 @@ ABOVE = Predicate(
 )
 UNDER = Predicate(
     "Under",
-    "the first is below the second",
+    "the first object is below the second",
     ("thing", "thing"),
     partial(_vertical, "over", "under"),
     "the plumb line through the middle of `a` intersects `b` above `a` and not below it; `a` may be held",

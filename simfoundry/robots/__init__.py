@@ -1,1 +1,1 @@
-"""Robots: grippers measured on their models, and arms solved by inverse kinematics."""
+"""Robots: gripper geometry measured from robot models, and inverse kinematics of arms."""

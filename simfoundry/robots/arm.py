@@ -1,6 +1,6 @@
-"""A robot arm with its gripper: inverse kinematics as one rigid body, and the free space between its fingers.
+"""A robot arm with its gripper: inverse kinematics with rigid fingers, and the gap between the fingers.
 
-The fingers are measured on the model by ray casting.
+The fingers are measured by casting rays at the model.
 """
 
 from __future__ import annotations
@@ -25,28 +25,31 @@ if TYPE_CHECKING:
     import mujoco
 
 SHARES = 21
-"""Number of openings at which the fingers are measured."""
+"""Number of gripper positions at which the fingers are measured."""
 
 STEP, DEEPEST = 0.001, 0.3
-"""Spacing of the rays along the hand [m], and maximum depth from the hand frame [m]."""
+"""Spacing of the rays along the hand, and maximum distance of a ray from the hand frame [m]."""
 
 WIDEST = 0.12
-"""Hits beyond this distance [m] are not fingers."""
+"""Distance beyond which a ray hit is not a finger [m]."""
 
 PAD = 0.002
-"""Pads extend over the depths at which the gap exceeds its minimum by at most this much [m]."""
+"""The pads cover the depths at which the gap exceeds its minimum by at most this distance [m]."""
 
 HIDDEN = 5
 FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-"""The geom group that rays ignore, and the mask of groups that they may hit: moving collision geoms."""
+"""The geom group that rays ignore, and a mask of the groups that they can hit, which contain moving collision geoms."""
 
 
 @dataclass(frozen=True, eq=False)
 class Jaws:
-    """The finger geometry at each closed ``share``, from 0 (open) to 1, shape (k,), in the hand frame.
+    """The finger geometry at several gripper positions, in the hand frame; the fingers close along y.
 
-    ``width`` [m] is the gap between the pads, which extend from ``low`` to ``tip`` along the hand's z axis [m]; shapes
-    (k,). Fingers close along y.
+    Attributes:
+        share: The gripper positions, from 0 (open) to 1 (closed), shape (k,).
+        width: The gap between the pads [m], shape (k,).
+        low: The z coordinate in the hand frame at which the pads start [m], shape (k,).
+        tip: The z coordinate in the hand frame at which the pads end [m], shape (k,).
     """
 
     share: Array
@@ -56,11 +59,11 @@ class Jaws:
 
     @property
     def opening(self) -> float:
-        """The maximum gap [m]."""
+        """The maximum gap between the pads [m]."""
         return float(self.width.max())
 
     def at_width(self, width: float) -> tuple[float, float, float]:
-        """Return the closed share and the low and tip of the pads [m] at a gap of ``width`` [m]."""
+        """Return the gripper position, and where the pads start and end [m], at a gap of ``width`` [m]."""
         order = np.argsort(self.width)
         narrow = self.width[order]
         return (
@@ -72,7 +75,11 @@ class Jaws:
 
 @lru_cache(maxsize=8)
 def jaws(robot: Robot) -> Jaws | None:
-    """Measure the fingers of a robot; None without a gripper or if its fingers do not face each other along y."""
+    """Measure the fingers of a robot.
+
+    Returns:
+        The finger geometry, or None if the robot has no gripper or its fingers do not face each other along y.
+    """
     native = mujoco_model(robot)
     if native is None or native.gripper is None:
         return None
@@ -93,7 +100,7 @@ def jaws(robot: Robot) -> Jaws | None:
 
 
 def finger_positions(gripper: Gripper, share: float) -> dict[str, float]:
-    """Return the positions [rad or m] of all gripper joints, closed by ``share``, by the model's names."""
+    """Return the positions [rad or m] of all gripper joints in the model when the gripper is closed by ``share``."""
     positions = {name: start + share * (end - start) for name, (start, end) in gripper.joints.items()}
     for name, leader in gripper.follow.items():
         positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
@@ -112,7 +119,7 @@ def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
 
 
 def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
-    """Return gap, low and tip of the pads; None if no ray hits two fingers."""
+    """Return the gap between the pads, and where the pads start and end [m]; return None if no ray hits two fingers."""
     depth = np.arange(0.0, DEEPEST, STEP)
     free = np.array([_free(model, data, X_WH, z) for z in depth])
     met = np.isfinite(free)
@@ -126,7 +133,7 @@ def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[fl
 
 
 def _free(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose, z: float) -> float:
-    """Return the gap between the fingers at depth ``z`` of the hand [m]; inf if a finger is not hit."""
+    """Return the gap between the fingers at depth ``z`` of the hand [m], or inf if a finger is not hit."""
     import mujoco
 
     start = X_WH.apply(np.array([0.0, 0.0, z]))
@@ -149,19 +156,24 @@ SLACK = 0.02
 """Margin between solutions and the joint limits [rad or m]."""
 
 STUCK = 4
-"""Number of iterations without progress after which a solve is stopped."""
+"""Number of iterations without progress after which a solve is aborted."""
 
 SEEDS = 3
-"""Number of additional start configurations if the solve from the current one fails."""
+"""Number of additional random initial configurations to try."""
 
 
 class Arm:
-    """The arm of a robot. Configurations ``q`` list its joints in the scene's order [rad or m], shape (n,)."""
+    """The arm of a robot.
+
+    A configuration ``q`` contains the positions of the arm's joints in the scene's order [rad or m], shape (n,).
+    """
 
     def __init__(self, robot: Robot) -> None:
         native = mujoco_model(robot)
         if native is None:
-            raise RobotModelError(f"robot `{robot.name}` has no model that MuJoCo reads, so no arm can be solved")
+            raise RobotModelError(
+                f"robot `{robot.name}` has no model that MuJoCo can load, so its inverse kinematics is not available"
+            )
         self.robot = robot
         self.read: MujocoRobot = read_robot(robot, native, f"{robot.name}.")
         own = [j.name for j in self.read.spec.joints]
@@ -178,7 +190,7 @@ class Arm:
 
     @cached_property
     def _ik(self) -> tuple[Any, Any, Any]:
-        """Mink's configuration of the rigid model, the task of the hand's link, and the joint limits."""
+        """Mink's configuration of the rigid model, the frame task for the hand link, and the joint limits."""
         import mink
 
         task = mink.FrameTask(self._body.name, "body", position_cost=1.0, orientation_cost=0.3, lm_damping=1e-4)
@@ -198,7 +210,7 @@ class Arm:
         return self.robot.X_WB @ Pose.of(data.xpos[link], data.xquat[link]) @ self._X_LH
 
     def solve(self, X_WH: Pose, near: Array) -> Array | None:
-        """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if none is found."""
+        """Solve for a configuration with the hand at ``X_WH``, starting from ``near``; return None if it fails."""
         import mink
 
         X_BF = self.robot.X_WB.inverse() @ X_WH @ self._X_LH.inverse()
@@ -226,7 +238,7 @@ class Arm:
         return None
 
     def solve_any(self, X_WH: Pose, near: Array, rng: np.random.Generator) -> Array | None:
-        """Solve as :meth:`solve` does; if that fails, from the home configuration and random ones around it."""
+        """Solve like :meth:`solve`; on failure, retry from the home configuration and from random ones near it."""
         found = self.solve(X_WH, near)
         if found is None:
             found = self.solve(X_WH, self.home)
@@ -239,7 +251,7 @@ class Arm:
 
 
 def _rigid(read: MujocoRobot, joints: tuple[str, ...]) -> mujoco.MjModel:
-    """Return the robot's model with only the arm's joints."""
+    """Return a model of the robot in which only the arm joints can move."""
     spec = read.spec.copy()
     for items in (spec.actuators, spec.sensors, spec.equalities, spec.tendons, spec.keys):
         for item in list(items):

@@ -1,6 +1,6 @@
-"""Robot reach: horizontal distance from published data, and inverse kinematics of the arms.
+"""Robot reach, estimated by horizontal distance from published data or computed by inverse kinematics.
 
-Both concern the arm alone: the fingers may not fit the object, and obstacles are ignored.
+Both methods consider only the arm: obstacles are ignored, and the fingers may not fit the object.
 """
 
 from __future__ import annotations
@@ -21,30 +21,38 @@ from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10
-"""Distance from which the hand approaches its grasp [m]."""
+"""Distance over which the hand approaches its grasp [m]."""
 
 YAWS = 6
-"""Number of hand rotations about z that are tried."""
+"""Number of hand rotations about z to try."""
 
 DEEP = 0.03
-"""Depth of the fingertips below the top or side of the object from which the hand approaches [m]; the object's center
-if that is nearer."""
+"""Depth of the fingertips below the surface of the object that faces the hand [m]; at most the depth of the object's
+center.
+"""
 
 UP = (0.0, 0.0, 1.0)
 
 
 PAYLOAD = 1.0
-"""Payload of robots without published data [kg]; light desktop arms lift 0.5 to 1.5 kg."""
+"""Payload assumed for robots without published data [kg]; light desktop arms lift 0.5 to 1.5 kg."""
 
 BEYOND = 0.1
-"""Distance beyond the published reach at which an arm is still solved [m], because grasps are at an object's near
-side."""
+"""Distance beyond the published reach up to which inverse kinematics is still tried [m], because grasps are on the near
+side of an object.
+"""
 
 
 class Hand(NamedTuple):
-    """A robot that acts: its base in the horizontal plane [m], and its reach [m], opening [m] and payload [kg].
+    """A robot that acts.
 
-    ``reach`` and ``opening`` are None if unknown; ``kind`` is the name of the known robot, or empty.
+    Attributes:
+        name: The name of the robot in the scene.
+        at: The position of its base in the horizontal plane [m].
+        reach: Its reach [m], or None if unknown.
+        opening: The maximum opening of its gripper [m], or None if unknown.
+        payload: Its payload [kg].
+        kind: The name of the robot model if it is a known robot, otherwise an empty string.
     """
 
     name: str
@@ -56,7 +64,7 @@ class Hand(NamedTuple):
 
 
 class Miss(NamedTuple):
-    """The hand closest to reaching a place, and the horizontal distance of the place from its base [m]."""
+    """The hand that comes closest to reaching a place, and the horizontal distance from its base to the place [m]."""
 
     hand: Hand
     distance: float
@@ -64,12 +72,15 @@ class Miss(NamedTuple):
 
     @property
     def lacking(self) -> float:
-        """The distance by which the place is beyond the reach [m]."""
+        """The distance by which the place is out of reach [m]."""
         return self.distance - self.reach
 
 
 def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> tuple[Hand, ...]:
-    """Return the hands of a document's robots, with or without installed models; ``payload`` [kg] overrides theirs."""
+    """Return the hands of a document's robots, whether or not their models are installed.
+
+    ``payload`` [kg] overrides the payloads of the robots.
+    """
     found = []
     for name, robot in robots.items():
         known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
@@ -81,9 +92,9 @@ def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> t
 
 
 def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | None:
-    """Return the hand that is closest to reaching a place, given horizontal distances from their bases [m].
+    """Return the hand that comes closest to reaching a place, given the horizontal distances from their bases [m].
 
-    Returns None if a hand reaches the place or if a reach is unknown.
+    Returns None if a hand can reach the place or if the reach of any hand is unknown.
     """
     misses = [Miss(h, d, h.reach) for h, d in zip(hands, distances, strict=True) if h.reach is not None]
     nearest = min(misses, key=lambda miss: miss.lacking, default=None)
@@ -92,9 +103,14 @@ def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | No
 
 @dataclass(frozen=True)
 class Reached:
-    """Result of a reach test: the ``robot`` that reaches or the nearest one; ``away`` [m] is horizontal, from its base.
+    """The result of a reach test.
 
-    ``checked`` is False if no arm has a model or the solver is not installed; ``why`` gives the reason.
+    Attributes:
+        reached: True if a robot can reach the place.
+        checked: False if no arm has a model or the solver is not installed.
+        robot: The robot that can reach the place, or otherwise the nearest robot.
+        away: The horizontal distance of the place from the base of that robot [m].
+        why: The reason why reach was not checked.
     """
 
     reached: bool
@@ -105,7 +121,7 @@ class Reached:
 
 
 class ArmReach:
-    """Reachability of grasps by the arms of a scene."""
+    """Tests which grasps the arms in a scene can reach."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
         self._scene, self._names = scene, robots
@@ -113,7 +129,7 @@ class ArmReach:
 
     @cached_property
     def _arms(self) -> list[tuple[Arm, float]]:
-        """The arms, each with the distance [m] along the hand from its frame to the point between the fingertips."""
+        """The arms, each with the distance [m] from the hand frame to the grasp point between the fingers."""
         found = []
         there = {robot.name: robot for robot in self._scene.robots}
         for name in self._names:
@@ -125,21 +141,24 @@ class ArmReach:
 
     @cached_property
     def missing(self) -> str:
-        """The reason why reach cannot be checked; empty if it can."""
+        """The reason why reach cannot be checked, or an empty string if it can be checked."""
         missing = EXTRAS["expert"].missing
         if missing:
             return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
         if not self._names:
-            return "no robot acts here"
+            return "the task does not use a robot"
         if not any(robot.name in self._names for robot in self._scene.robots):
-            return f"no model of {', '.join(self._names)} is installed; `simfoundry doctor` shows how to get it"
+            return f"no model of {', '.join(self._names)} is installed; run `simfoundry doctor` for instructions"
         return ""
 
     def __call__(self, low: Array, high: Array, side: Sequence[float] = UP, way: Sequence[float] = UP) -> Reached:
-        """Test whether an arm can grasp the box between two corners in the world [m], shape (3,) each.
+        """Test if an arm can grasp a box.
 
-        The fingers point toward the object from ``side``, and the hand approaches along ``way``; both are unit vectors
-        that point away from the object.
+        Args:
+            low: The minimum corner of the box in the world [m], shape (3,).
+            high: The maximum corner of the box in the world [m], shape (3,).
+            side: The unit vector from the object toward the side from which the fingers point at it.
+            way: The unit vector that points away from the object along the approach path.
         """
         if self.missing:
             return Reached(False, False, why=self.missing)
@@ -164,7 +183,7 @@ class ArmReach:
         return nearest
 
     def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
-        """Return true if the hand reaches the start of its approach and moves from there to the grasp."""
+        """Return True if the hand can reach the start of its approach and move from there to the grasp."""
         starts = (_toward(arm, hand), arm.home)
         for turn in _hand_turns(side):
             before = Pose.of(hand + OVER * way, turn)
@@ -176,7 +195,10 @@ class ArmReach:
 
 
 def _hand_turns(side: Array) -> list[Array]:
-    """Return quaternions (wxyz) of hands that approach from ``side``: any rotation from above, else level fingers."""
+    """Return wxyz quaternions for hands that approach from ``side``.
+
+    From above, the hand may have any rotation; from other sides, the fingers are level.
+    """
     if side[2] > 1 - 1e-9:
         turns = [2 * math.pi * k / YAWS for k in range(YAWS)]
         across = [np.array([math.cos(turn), math.sin(turn), 0.0]) for turn in turns]
@@ -188,9 +210,10 @@ def _hand_turns(side: Array) -> list[Array]:
 
 
 def _toward(arm: Arm, hand: Array) -> Array:
-    """Return the home configuration with the first joint rotated to turn the hand toward its target.
+    """Return the home configuration with the first joint rotated to point the hand toward its target.
 
-    This is a good start if the axis of that joint is vertical, as in most arms, and does no harm otherwise.
+    This is a good initial configuration if the axis of the first joint is vertical, as in most arms, and harmless
+    otherwise.
     """
     base, now = arm.robot.X_WB.p, arm.hand(arm.home).p
     turn = math.atan2(hand[1] - base[1], hand[0] - base[0]) - math.atan2(now[1] - base[1], now[0] - base[0])

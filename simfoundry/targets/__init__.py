@@ -1,2 +1,2 @@
-"""Targets: simulators described as data. A profile names a backend and states what its simulator does with the
-files."""
+"""Targets, which are simulators described as data. A profile names a backend and describes how the simulator interprets
+its files."""

@@ -1,4 +1,4 @@
-"""Compilation of many scenes in parallel processes; a crash or hang in one does not affect the others."""
+"""Compilation of many scenes in parallel processes, in which a crash or hang does not affect the other scenes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 
 SILENCE_S = 900.0
-"""Longest time without a progress report from a worker [s]; the longest decomposition measured took 300 s."""
+"""Maximum time without a progress report from a worker [s]; the slowest measured decomposition took 300 s."""
 
 FUNCTION = "simfoundry.targets.batch:compile_job"
 """The function that the workers call."""
@@ -24,7 +24,7 @@ COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 
 @dataclass(frozen=True)
 class CompileJob:
-    """A scene document, the targets to compile it for, and the folder of the build."""
+    """A scene document to compile, its targets, and the build folder."""
 
     scene: Path
     targets: tuple[str, ...]
@@ -36,8 +36,8 @@ class CompileJob:
 class CompileOutcome:
     """The outcome of a job: its ``state``, the entry file by target, the losses, and the error if it failed.
 
-    ``losses`` counts the approximated and dropped features by target. ``error`` is a sentence; ``findings`` are the
-    diagnostics of the documents.
+    ``losses`` contains the number of approximated and dropped features by target. ``error`` is a sentence, and
+    ``findings`` are the diagnostics of the documents.
     """
 
     scene: str
@@ -49,7 +49,7 @@ class CompileOutcome:
     findings: tuple[Diagnostic, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping."""
+        """Return the outcome as plain data for JSON."""
         data = asdict(self) | {"findings": [finding.to_json() for finding in self.findings]}
         return {key: value for key, value in data.items() if value or key in ("targets", "losses")}
 
@@ -61,10 +61,11 @@ def compile_all(
     limits: Limits | None = None,
     function: str = FUNCTION,
 ) -> list[CompileOutcome]:
-    """Compile all jobs with ``workers`` processes that call ``function``, and return the outcomes in order.
+    """Compile all jobs in ``workers`` processes that call ``function``, and return the outcomes in job order.
 
-    ``report`` receives, from any thread, the current activity and the number of completed jobs. If a process crashes,
-    hangs or runs out of memory, its job fails with that activity in the error, and a new process takes its place.
+    ``report`` is called from any thread with the current activity and the number of completed jobs. If a process
+    crashes, hangs or runs out of memory, its job fails with an error that names the last activity, and a new process
+    replaces it.
     """
     outcomes: dict[int, CompileOutcome] = {}
     size = min(workers, len(jobs))
@@ -86,13 +87,13 @@ def compile_all(
 
 
 def _failure(job: CompileJob, error: WorkerError) -> CompileOutcome:
-    """Return the outcome of a job whose process failed."""
+    """Return the outcome for a job whose process failed."""
     during = f", while processing {error.doing}" if error.doing else ""
     return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
-    """Compile one scene in this process unless its build is up to date; errors are part of the outcome."""
+    """Compile one scene in this process unless its build is up to date; errors are reported in the outcome."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
@@ -126,20 +127,20 @@ def compile_job(job: CompileJob) -> CompileOutcome:
 
 
 def _outcome(job: CompileJob, state: str, artifacts: Sequence[Artifact]) -> CompileOutcome:
-    """Return the outcome of a job that wrote ``artifacts``."""
+    """Return the outcome for a job that wrote ``artifacts``."""
     entries = {a.target: str(job.out / a.target / a.entry) for a in artifacts}
     return CompileOutcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
 
 
 def _object(loaded: Loaded, name: str) -> str:
-    """Return an object's name with its asset file and, after a colon, the current activity."""
+    """Return an activity description with the object's name and asset file."""
     name, colon, doing = name.partition(":")
     asset = loaded.spec.objects[name].asset if isinstance(loaded.spec, SceneSpec) else None
     return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing
 
 
 def _read_back(job: CompileJob) -> CompileOutcome:
-    """Return the outcome of a build that is up to date."""
+    """Return the outcome for a build that is up to date."""
     import json
 
     from simfoundry.targets.build import LOSSES, MANIFEST
@@ -156,9 +157,9 @@ def _read_back(job: CompileJob) -> CompileOutcome:
 
 
 def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[CompileJob]:
-    """Yield a job for each scene document among ``paths`` and below its folders; builds keep the folder structure.
+    """Yield a job for each scene document in ``paths`` and its subfolders; builds preserve the folder structure.
 
-    Everything in ``out``, and files and folders whose names start with a dot, are skipped.
+    The contents of ``out``, and files and folders whose names start with a dot, are skipped.
     """
     for path in paths:
         if not path.is_dir():

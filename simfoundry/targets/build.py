@@ -1,4 +1,4 @@
-"""Build folders: one folder per target, and one report of the losses."""
+"""Build folders, which contain one folder per target and a loss report."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target
 
 TARGETS = tuple(sorted(BACKENDS.names()))
-"""The default targets of a build: the plain backends."""
+"""The default targets of a build, which are the plain backends."""
 
 LOSSES = "loss.json"
-"""The report of each feature in each target, in the build folder; see :func:`simfoundry.targets.build.report`."""
+"""The loss report in the build folder; see :func:`simfoundry.targets.build.report`."""
 
 RECORD = "build.json"
-"""The record of a build's inputs, in the build folder; see :mod:`simfoundry.targets.inputs`."""
+"""The record of a build's inputs in the build folder; see :mod:`simfoundry.targets.inputs`."""
 
 MANIFEST = "manifest.json"
-"""The hashes of a target's files, in its folder."""
+"""The file in a target's folder that contains the hashes of its files."""
 
 
 class TargetsError(SimfoundryError):
-    """An error for targets that could not be compiled; all other targets are written.
+    """Raised if some targets could not be compiled; all other targets are written.
 
-    ``artifacts`` are those that were written; ``failures`` gives the reason for each of the other targets.
+    ``artifacts`` contains the artifacts that were written; ``failures`` maps each failed target to the reason.
     """
 
     def __init__(self, artifacts: list[Artifact], failures: Mapping[str, str]) -> None:
@@ -53,9 +53,11 @@ def build(
     staging folders before the first target folder is replaced; each replacement is atomic. ``record`` is written last,
     to ``out/build.json``, with the hashes of the manifests.
 
-    Raises :class:`OutputError` if a folder holds files that no build wrote, or that were edited since, unless ``force``
-    is set. Raises :class:`TargetsError` if a target fails; the others are then written, without a record, and the
-    folder of the failed target is unchanged.
+    Raises:
+        OutputError: If a folder contains files that were not written by a build, or that were edited afterward, unless
+            ``force`` is set.
+        TargetsError: If a target fails. The other targets are written, but no record is, and the failed target's folder
+            is unchanged.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
@@ -78,13 +80,13 @@ def build(
         for name in reports:
             os.replace(staging / name, out / name)
     if failures:
-        (out / RECORD).unlink(missing_ok=True)  # from here on, the folders may belong to two builds
+        (out / RECORD).unlink(missing_ok=True)  # from now on, the folders may belong to different builds
         raise TargetsError(artifacts, failures)
     return artifacts
 
 
 def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
-    """Return the artifacts of the targets that compile, and the reasons of failure of the others by name."""
+    """Return the artifacts of the targets that compile, and the failure reasons of all others by name."""
     artifacts: list[Artifact] = []
     failures: dict[str, str] = {}
     for target in targets:
@@ -100,7 +102,7 @@ def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifac
 
 
 def _unforeseen(error: Exception) -> str:
-    """Describe an internal error in a sentence, with the line of code to report."""
+    """Describe an internal error in one sentence that includes the line of code to report."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     said = " ".join(f"{type(error).__name__}: {error}".split())
     where = f"{Path(frame.filename).name}:{frame.lineno}"
@@ -108,7 +110,7 @@ def _unforeseen(error: Exception) -> str:
 
 
 def is_current(out: Path, record: Mapping[str, object]) -> bool:
-    """Return true if ``out`` holds exactly, byte for byte, the build with this ``record``."""
+    """Return true if ``out`` contains exactly the build with this ``record``, byte for byte."""
     try:
         built = json.loads((out / RECORD).read_bytes())
         hashes: dict[str, str] = built["outputs"]
@@ -134,7 +136,7 @@ def _json(data: object) -> bytes:
 
 
 def _ensure_ours(folder: Path) -> None:
-    """Raise :class:`OutputError` if ``folder`` holds edited files or files that its own manifest does not list."""
+    """Raise :class:`OutputError` if ``folder`` contains edited files or files that are not in its manifest."""
     if not folder.is_dir():
         return
     try:
@@ -155,10 +157,10 @@ Fates = Mapping[str, Mapping[str, int]]
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
-    """Return the content of ``loss.json``, by target.
+    """Return the content of ``loss.json`` by target.
 
-    ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated or lose
-    it. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
+    For each feature that the scene uses, ``features`` counts the elements for which it is kept, approximated or
+    dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
     """
     return {
         artifact.target: {
@@ -182,9 +184,9 @@ def _loss(loss: Loss) -> dict[str, Any]:
 
 
 def table(data: Mapping[str, Any]) -> list[str]:
-    """Return one line per feature that some target does not keep, with the number of elements affected.
+    """Return one line per feature that at least one target does not preserve, with the number of affected elements.
 
-    ``~`` means approximated and ``-`` dropped. The last line counts the features that every target keeps.
+    ``~`` means approximated and ``-`` means dropped. The last line counts the features that all targets preserve.
     """
     fields: dict[str, Fates] = {target: entry["features"] for target, entry in data.items()}
     names = list(dict.fromkeys(name for found in fields.values() for name in found))

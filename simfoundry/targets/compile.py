@@ -1,4 +1,4 @@
-"""Compilation of a scene for a target: the files of its backend, the simulator's loader, and the losses of both."""
+"""Compilation of a scene for a target, which combines a backend's files with a simulator's loader and their losses."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
-    """Compile ``scene`` for ``target``; the losses are those of the backend and of the simulator."""
+    """Compile ``scene`` for ``target``, including the losses of both the backend and the simulator."""
     artifact, profile = target_files(scene, target), target.profile
     return replace(artifact, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
 
 
 def target_files(scene: Scene, target: Target) -> Artifact:
-    """Compile the files of ``target``, with the losses of the backend alone."""
+    """Compile the files for ``target``, including only the backend's losses."""
     artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
     files = dict(artifact.files)
     if target.loader is not None:
@@ -39,7 +39,7 @@ def target_files(scene: Scene, target: Target) -> Artifact:
 
 
 def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Yield the losses of the backend that the loader does not restore; it cannot restore what lowering left out."""
+    """Yield the backend losses that the loader does not restore, which include everything that lowering omitted."""
     absent = {part.path for part in scene.left_out}
     combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
     told = profile.restores.keys() | combined | profile.gaps.keys()
@@ -49,7 +49,7 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
 
 
 def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Yield the losses of the simulator for the features that the scene uses."""
+    """Yield the simulator's own losses for the features that the scene uses."""
     from simfoundry.targets.compile import pair_losses
 
     yield from pair_losses(scene, profile.combines, profile.name)
@@ -68,7 +68,7 @@ RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
 
 
 def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Loss]:
-    """Yield a loss each for friction and restitution, with the pair of the scene that has the largest error."""
+    """Yield one loss each for friction and restitution, based on the pair in the scene with the largest error."""
     for field in ("friction", "restitution"):
         rule = getattr(combines, field)
         worst = None if rule is None else _worst(scene, field, RULES[rule][1])
@@ -79,7 +79,10 @@ def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Lo
 
 
 def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:
-    """Return the pair with the largest error, its intended and resulting coefficient; None if they never differ."""
+    """Return the pair of coefficients with the largest error, its intended and its actual combined value.
+
+    Returns None if the two combined values never differ.
+    """
     values: set[tuple[str, float]] = set()
     for item in scene.objects:
         values |= {(item.name, float(getattr(c, field))) for link in item.links for c in link.colliders}

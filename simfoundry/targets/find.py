@@ -1,4 +1,4 @@
-"""Targets by name or path: those of the project, of installed packages and of the user, and the plain backends."""
+"""Lookup of targets by name or path: plain backends, built-in targets, and targets of packages and users."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ if TYPE_CHECKING:
 
 GROUP = "simfoundry.targets"
 PROFILE, LOADER, READBACK = "profile.yaml", "load.py", "readback.py"
-"""The standard files in a target's folder."""
+"""The standard file names in a target's folder."""
 
 SUFFIXES = (".yaml", ".yml")
 
 
 class UnknownTargetError(SimfoundryError):
-    """An unknown target name."""
+    """Raised for an unknown target name."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A format or simulator for which scenes are compiled: its profile, and the folder of its loader and read-back."""
+    """A format or simulator for which scenes are compiled, with its profile, and the folder of its other files."""
 
     profile: TargetSpec
     folder: Path | None = None
 
     @property
     def name(self) -> str:
-        """Its name for ``-t``, which is also its folder in a build."""
+        """The name for ``-t``, which is also the name of the target's folder in a build."""
         return self.profile.name
 
     @property
     def backend(self) -> str:
-        """The backend that writes its files."""
+        """The backend that writes the target's files."""
         return self.profile.backend
 
     @property
@@ -56,7 +56,7 @@ class Target:
 
     @property
     def loader(self) -> Path | None:
-        """Its own ``load.py``; None if builds use the backend's loader."""
+        """The target's own ``load.py``, or None if builds use the backend's loader."""
         if self.folder is None or self.name == self.backend:
             return None
         if self.profile.loader is not None:
@@ -65,7 +65,7 @@ class Target:
 
     @property
     def readback(self) -> Path | None:
-        """The module with which ``verify`` reads its builds; None if there is none."""
+        """The module with which ``verify`` reads builds back, or None if builds cannot be read back."""
         return self._file(READBACK) if self.profile.engine is not None else None
 
     def _file(self, name: str) -> Path | None:
@@ -75,20 +75,22 @@ class Target:
 
 @cache
 def _own_folders() -> Mapping[str, Path]:
-    """Return the folders of the project's own targets by name, sorted."""
+    """Return the folders of the built-in targets, sorted by name."""
     return {path.parent.name: path.parent for path in sorted(shipped("targets").glob(f"*/{PROFILE}"))}
 
 
 def target_names() -> list[str]:
-    """Return every name that ``-t`` accepts: plain backends, then simulators, then targets of installed packages."""
+    """Return all names that ``-t`` accepts: plain backends, then simulators, then targets of installed packages."""
     return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
 def find_target(name: str) -> Target:
     """Return the target called ``name``, or the target whose folder or profile is at the path ``name``.
 
-    Raises :class:`UnknownTargetError` for an unknown name, :class:`SpecError` with all findings for an invalid profile,
-    and :class:`PluginError` if the package that provides the target is broken.
+    Raises:
+        UnknownTargetError: If the name is unknown.
+        SpecError: If the profile is invalid; the error contains all findings.
+        PluginError: If the package that provides the target is broken.
     """
     if name.endswith(SUFFIXES):
         return read_profile(Path(name))
@@ -101,12 +103,12 @@ def find_target(name: str) -> Target:
     plugin = plugins(GROUP).get(name)
     if plugin is not None:
         return read_profile(plugin.folder() / PROFILE)
-    hint = nearest(name, target_names()) + " Specify your own target by its folder, such as `./my_sim`."
+    hint = nearest(name, target_names()) + " To use your own target, specify its folder, such as `./my_sim`."
     raise UnknownTargetError(f"no target is called `{name}`; {hint}")
 
 
 def _plain(backend: str) -> Target:
-    """Return the target of a backend without a folder, whose files are used as they are."""
+    """Return the target for a backend that has no target folder, whose files are used without a profile."""
     from simfoundry.targets.profile import TargetSpec, Tested
 
     description = "the plain files of the backend"
@@ -117,7 +119,7 @@ def _plain(backend: str) -> Target:
 
 
 def read_profile(path: Path) -> Target:
-    """Read the profile at ``path``; raises :class:`SpecError` with all findings."""
+    """Read the profile at ``path``; raise :class:`SpecError` with all findings if it is invalid."""
     from simfoundry.spec.check.validate import validate
     from simfoundry.targets.profile import TargetSpec
 
@@ -131,12 +133,12 @@ def read_profile(path: Path) -> Target:
     findings += _findings(spec, document, path)
     if findings:
         raise SpecError(findings)
-    # A profile with another file name stands alone; only `profile.yaml` describes its folder.
+    # Only a profile named `profile.yaml` describes its folder; a profile with a different file name is standalone.
     return Target(spec, path.parent if path.name == PROFILE or spec.loader is not None else None)
 
 
 def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diagnostic]:
-    """Yield the problems of a profile that its types cannot express."""
+    """Yield the problems in a profile that its data types cannot detect."""
     from simfoundry.targets.profile import BEHAVIORS, QUANTITIES, READ_BACK
 
     def known(name: str, choices: Collection[str], place: tuple[str, ...], what: str) -> Iterator[Diagnostic]:
@@ -171,17 +173,17 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
             hint = "the loader must be beside the profile"
             yield document.finding("SF203", ("loader",), f"there is no file `{spec.loader}`", hint)
     if spec.engine is not None and not (whole and (folder / READBACK).is_file()):
-        hint = "an engine needs a read-back module of that name in the folder of `profile.yaml`"
+        hint = "an engine requires a read-back module with this name next to `profile.yaml`"
         yield document.finding("SF203", ("engine",), f"there is no file `{READBACK}`", hint)
     if spec.engine is None and spec.tolerances:
-        hint = "add the engine to read back under `engine`, or remove the tolerances"
-        yield document.finding("SF107", ("tolerances",), "no engine is read back, so the tolerances are not used", hint)
+        hint = "add an engine for reading builds back under `engine`, or remove the tolerances"
+        yield document.finding("SF107", ("tolerances",), "tolerances have no effect without an `engine`", hint)
 
 
 _KINDS = {float: "a number", bool: "`true` or `false`", str: "a string"}
 
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
-    """Return the options of a backend by name, with their defaults."""
+    """Return the default values of a backend's options by name."""
     parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}

@@ -1,6 +1,6 @@
-"""Hashes of everything on which a build depends; equal inputs and software give equal bytes.
+"""Hashes of everything that a build depends on; equal inputs and software yield byte-identical builds.
 
-Names are relative to the project, so that the record is the same on every machine.
+Names are relative to the project, so the record is the same on every machine.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ LIBRARIES = (
     *("coacd", "fast-simplification", "mapbox-earcut", "mujoco", "numpy"),
     *("pillow", "scipy", "shapely", "trimesh", "usd-core"),
 )
-"""The libraries whose results end up in the files."""
+"""The libraries that affect the content of the files."""
 
 _PACKAGE = Path(simfoundry.__file__).parent
 
 
 def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
-    """Return names and SHA-256 of all inputs to the build of a valid scene.
+    """Return the names and SHA-256 hashes of all inputs to the build of a valid scene.
 
-    ``documents`` are hashed by content, so that comments do not matter. ``files`` are the meshes with their materials
-    and textures. ``robots`` are the models, or the reasons why there are none. ``targets`` are the profiles.
+    ``documents`` are hashed by content, ignoring comments. ``files`` contains meshes with their materials and textures,
+    ``robots`` contains robot models or the reasons why they are missing, and ``targets`` contains profiles.
     """
     spec = loaded.spec
     assert isinstance(spec, SceneSpec)
@@ -55,9 +55,9 @@ def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
 
 @cache
 def software() -> dict[str, str]:
-    """Return the versions of this package and of the libraries whose results end up in the files.
+    """Return the versions of this package and of the libraries that affect the content of the files.
 
-    In a checkout, where any file may be edited, the version of the package includes a hash of its files.
+    In a checkout, where any file may be edited, the package version includes a hash of its files.
     """
     found = {"simfoundry": simfoundry.__version__}
     if (_PACKAGE.parent / "pyproject.toml").is_file():
@@ -80,7 +80,7 @@ def _used(loaded: Loaded) -> Iterator[Loaded]:
 
 
 def _files(loaded: Loaded) -> Iterator[Path]:
-    """Yield the meshes and splats named in a document, and the files that those refer to."""
+    """Yield the meshes and splats named in a document, and the files they reference."""
     for reference in _references(loaded.spec):
         path = loaded.file(reference)
         yield path
@@ -100,7 +100,7 @@ def _references(spec: object) -> Iterator[str]:
 
 
 def _named(path: Path, root: Path) -> str:
-    """Return the path relative to the project, or relative to site-packages for a file of an installed package."""
+    """Return the path relative to the project, or to site-packages for a file in an installed package."""
     resolved = path.resolve()
     if resolved.is_relative_to(root):
         return resolved.relative_to(root).as_posix()
@@ -109,7 +109,7 @@ def _named(path: Path, root: Path) -> str:
 
 
 def _of_file(path: Path) -> str:
-    """Return the hash of a file; a missing file is reported where it is used."""
+    """Return the hash of a file; a missing file is not an error here because it is reported where it is used."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -117,7 +117,7 @@ def _of_file(path: Path) -> str:
 
 
 def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
-    """Return a hash of a robot's models and its description in a user folder, or the reason why there is no model."""
+    """Return a hash of a robot's models and its user-defined description, or the reason why it has no model."""
     folder = own_folder()
     own = [_of_file(p) for p in sorted(folder.glob("*.yaml"))] if folder is not None else []
     try:

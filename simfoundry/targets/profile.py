@@ -1,4 +1,4 @@
-"""``target/1``: a simulator in one document, with its backend, its known gaps, and the settings to read builds back."""
+"""The document type ``target/1``, which describes a simulator: its backend, known gaps, and settings for `verify`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max
 PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
 
 READ_BACK = "read_back"
-"""The key of the tolerance for quantities without their own."""
+"""The key of the tolerance for quantities that do not have their own tolerance."""
 
 QUANTITIES = (
     *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
@@ -34,7 +34,7 @@ class Gap(Model):
     """A feature that the simulator does not preserve, in addition to the losses of its backend."""
 
     fidelity: Literal["approximated", "dropped"] = Field(
-        description="`approximated` if it is partly preserved, `dropped` if it is not."
+        description="`approximated` if it is partly preserved, `dropped` if it is not preserved."
     )
     kind: Literal["notimpl", "notyet", "never"] = Field(
         description="`notimpl`: not implemented here; `notyet`: the simulator could support it; `never`: it cannot."
@@ -46,7 +46,7 @@ class Gap(Model):
 
 
 class Band(Model):
-    """A behavior of `simfoundry verify` whose outcome in this simulator differs from the known answer."""
+    """A behavior in `simfoundry verify` for which this simulator is known to deviate from the analytic value."""
 
     low: float = Field(description="The smallest accepted value, in the unit of the behavior.")
     high: float = Field(description="The largest accepted value.")
@@ -54,10 +54,10 @@ class Band(Model):
 
 
 class Tolerance(Model):
-    """The largest error that `simfoundry verify` accepts, with its reason."""
+    """The largest error that `simfoundry verify` accepts, and the reason for it."""
 
     value: Positive = Field(
-        description="Relative for quantities that are read back; in the unit of the behavior for measurements."
+        description="Relative for quantities that are read back; in the behavior's unit for behaviors."
     )
     reason: Words = Field(description="The reason why the tolerance is not smaller.")
 
@@ -68,32 +68,32 @@ class Tested(Model):
     how: Literal["run", "checked"] = Field(
         description="`run`: loaded in the simulator by its loader; `checked`: only the code was reviewed."
     )
-    versions: tuple[str, ...] = Field((), description="Releases of the simulator with which it was run.")
+    versions: tuple[str, ...] = Field((), description="The simulator releases with which it was run.")
     note: Words | None = Field(None, description="Observations from the test.")
 
 
 class Combines(Model):
-    """The simulator's rules for combining the coefficients of two surfaces, if they are not the geometric mean."""
+    """The simulator's rules for combining the coefficients of two surfaces, if they differ from the geometric mean."""
 
-    friction: Combine | None = Field(None, description="Rule for two friction coefficients.")
-    restitution: Combine | None = Field(None, description="Rule for two restitution coefficients.")
+    friction: Combine | None = Field(None, description="The rule for combining two friction coefficients.")
+    restitution: Combine | None = Field(None, description="The rule for combining two restitution coefficients.")
 
 
 class EngineSpec(Model):
-    """The simulator as `simfoundry verify` runs it, through the `readback.py` beside the profile."""
+    """The settings with which `simfoundry verify` runs the simulator, using the `readback.py` next to the profile."""
 
     name: EngineName | None = Field(
-        None, description="Its name for `-e` and in tables; default: the name of the target."
+        None, description="Its name for `-e` and in tables; defaults to the name of the target."
     )
     family: EngineName | None = Field(
-        None, description="The name in `--python FAMILY=PATH` for all engines of one package; default: its name."
+        None, description="The name in `--python FAMILY=PATH` for all engines in a package; defaults to its name."
     )
     modules: dict[PythonName, str] = Field(
-        min_length=1, description="Required modules, each with the distribution that provides it; its own module first."
+        min_length=1, description="The required modules and the distributions that provide them, with the engine first."
     )
-    install: Words = Field(description="The command that installs them.")
+    install: Words = Field(description="The command that installs the required modules.")
     note: Words = Field(description="The solver that steps the build.")
-    steps: bool = Field(True, description="False if it can only read a build, not step it.")
+    steps: bool = Field(True, description="False if it can only load builds but not simulate them.")
 
 
 class TargetSpec(Model):
@@ -101,32 +101,33 @@ class TargetSpec(Model):
 
     simfoundry: Literal["target/1"] = Field(description="The kind and version of this document.")
     name: Name = Field(
-        description="Its name for `-t` and its folder in a build; must be the name of the profile's folder."
+        description="Its name for `-t` and its folder name in a build; must match the name of the profile's folder."
     )
     description: Words = Field(description="A one-line description.")
     backend: Name = Field(description="The backend that writes the files: `mjcf`, `pybullet`, `urdf` or `usd`.")
     options: dict[Name, float | bool | str] = Field({}, description="Options of the backend, such as `timestep`.")
-    tested: Tested = Field(description="The releases with which it was run, or a statement that it was not.")
+    tested: Tested = Field(description="The extent to which it has been tested.")
     loader: str | None = Field(
         None,
         max_length=200,
-        description="The `load.py` of the build; default: the one beside the profile, or else the backend's.",
+        description="The `load.py` of the build; defaults to the file next to the profile, or else the backend's.",
     )
     writes: tuple[Literal["objects", "environment", "omnigibson"], ...] = Field(
-        (), description="Additional files that its loader reads."
+        (), description="Additional files that its loader requires."
     )
     restores: dict[Name, Words] = Field(
-        {}, description="Features that the backend's files cannot hold but the loader restores, with an explanation."
+        {}, description="Features that the loader restores but the files cannot represent, with an explanation."
     )
-    combines: Combines = Field(Combines(), description="The rules for combining the surfaces in a contact.")
-    gaps: dict[Name, Gap] = Field({}, description="Features that it does not preserve, with the reason.")
+    combines: Combines = Field(Combines(), description="The rules for combining the two surfaces in a contact.")
+    gaps: dict[Name, Gap] = Field({}, description="Features that it does not preserve, with the reasons.")
     engine: EngineSpec | None = Field(
-        None, description="The settings to run it in `simfoundry verify`; requires a `readback.py`."
+        None, description="The settings for `simfoundry verify`; requires a `readback.py`."
     )
-    behaviors: dict[Name, Band] = Field({}, description="Known deviations from the laws of physics, by behavior.")
+    behaviors: dict[Name, Band] = Field({}, description="Known deviations from the analytic values, by behavior.")
     tolerances: dict[Name, Tolerance] = Field(
-        {}, description="Tolerances of `simfoundry verify` by quantity or behavior, or `read_back` for all others."
+        {},
+        description="Tolerances by quantity or behavior, and `read_back` for all other quantities.",
     )
     world: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)] | None = Field(
-        None, description="The class of its `World`, as `module:Class`, if rollouts and settling can run in it."
+        None, description="Its `World` class, as `module:Class`, if it can run rollouts and settling."
     )

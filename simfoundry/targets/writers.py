@@ -1,6 +1,6 @@
-"""Additional files that simulators read beside those of a backend.
+"""Additional files that some simulators require besides those of a backend.
 
-OmniGibson reads a scene JSON, which refers to one USD for each object.
+For example, OmniGibson reads a scene JSON that references one USD file per object.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ SCENE_FILE = "scene.json"
 
 
 def omnigibson_files(scene: Scene) -> dict[str, bytes]:
-    """Return ``scene.json`` and ``objects/<object>.usda``; meshes and textures are in ``assets``, as in the stage."""
+    """Return ``scene.json`` and ``objects/<object>.usda``, which use the stage's meshes and textures in ``assets``."""
     files = {f"objects/{item.name}.usda": _object_layer(scene, item) for item in scene.objects}
     return {SCENE_FILE: scene_json(scene), **files}
 
 
 def scene_json(scene: Scene) -> bytes:
-    """Return the scene in OmniGibson's save format: its objects and their state; quaternions are xyzw."""
+    """Return the scene's objects and their state in OmniGibson's save format, with xyzw quaternions."""
     info = {item.name: _info(item) for item in scene.objects}
     state = {item.name: _state(item) for item in scene.objects}
     data = {
@@ -36,7 +36,7 @@ def scene_json(scene: Scene) -> bytes:
             "args": {"use_floor_plane": False, "floor_plane_visible": False},
         },
         "objects_info": {"init_info": info},
-        # `Scene.__init__` and `restore` read the keys of both registries; our scenes have no particle systems.
+        # `Scene.__init__` and `restore` read the keys of both registries, but our scenes have no particle systems.
         "state": {"registry": {"object_registry": state, "system_registry": {}}},
     }
     return (json.dumps(data, indent=2) + "\n").encode()
@@ -62,7 +62,7 @@ def _state(item: SceneObject) -> dict[str, object]:
         "lin_vel": still,
         "ang_vel": still,
     }
-    # PhysX numbers joints by the links that they move, outward from the root; the file does not name them.
+    # PhysX orders joints by the links they move, outward from the root; the file does not contain joint names.
     rank = {link.name: k for k, link in enumerate(item.links)}
     moving = sorted((j for j in item.joints if j.type is not JointType.FIXED), key=lambda j: rank[j.child])
     positions = [rounded(joint.position) for joint in moving]
@@ -71,10 +71,10 @@ def _state(item: SceneObject) -> dict[str, object]:
 
 
 def _object_layer(scene: Scene, item: SceneObject) -> bytes:
-    """Return a layer whose default prim is the object in its own frame, with its materials below it."""
+    """Return a layer whose default prim is the object in its own frame, with its materials as descendants."""
     from pxr import Sdf
 
-    # Joints are at zero in the file, because OmniGibson sets the positions of its state itself.
+    # Joints are at zero in the file, because OmniGibson sets their positions from its saved state.
     rest = tuple(replace(joint, position=0.0) for joint in item.joints)
     alone = replace(
         scene,
@@ -131,7 +131,7 @@ over "World"
 
 
 def objects_file(scene: Scene) -> dict[str, bytes]:
-    """Return ``objects.json``: gravity, and the prim, joints and kind (static, rigid or articulated) of each object."""
+    """Return ``objects.json`` with gravity, and each object's prim, joints and kind (static, rigid or articulated)."""
     data = {
         "gravity": rounded_list(scene.gravity),
         "objects": {item.name: _object(item) for item in scene.objects},
@@ -140,7 +140,7 @@ def objects_file(scene: Scene) -> dict[str, bytes]:
 
 
 def environment_file(_: Scene) -> dict[str, bytes]:
-    """Return ``environment.usda``: the stage without its physics scene, for simulators that clone it."""
+    """Return ``environment.usda``, the stage without its physics scene, for simulators that clone it."""
     return {"environment.usda": _ENVIRONMENT.encode()}
 
 

@@ -1,1 +1,1 @@
-"""Verification that a build has the same meaning in every simulator: its read-back data and its behavior."""
+"""Verification that a build means the same in every simulator, based on the data read back and on behavior."""

@@ -1,7 +1,8 @@
-"""Behaviors with a known answer: a small mechanism, a measurement, the analytic value, and a tolerance.
+"""Behaviors with an analytic solution, each consisting of a small mechanism, a measurement, and a tolerance.
 
-Each is a generator that yields :class:`Trial` objects, receives the sampled states of each run, and returns the
-measured value. A behavior that needs a search, such as the slip angle of a box, can yield one trial after another.
+A measurement is a generator that yields :class:`Trial` objects, receives the sampled states of each run, and returns
+the measured value. A measurement that requires a search, such as the slip angle of a box, can yield several trials in
+sequence.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Moments = Sequence[Moment]
 
 @dataclass(frozen=True)
 class Trial:
-    """A scene, and the run that steps it."""
+    """A scene and the duration and sampling of its simulation."""
 
     scene: Scene
     run: Run
@@ -36,7 +37,7 @@ Measurement = Generator[Trial, Moments, float]
 
 @dataclass(frozen=True)
 class Behavior:
-    """One behavior: ``expected`` and ``tolerance`` in ``unit``, and the reason for that tolerance."""
+    """A behavior, with its ``expected`` value and ``tolerance`` in ``unit``, and the reason for the tolerance."""
 
     name: str
     title: str
@@ -48,21 +49,21 @@ class Behavior:
 
 
 MU_BOX, MU_RAMP = 0.3, 0.8
-"""Frictions for which any other combination rule changes the slip angle by at least 2.5 degrees."""
+"""Friction coefficients for which any other combination rule changes the slip angle by at least 2.5 degrees."""
 _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
 _SLID_M = 0.01
-"""Distance by which a slipping box moves in one second [m]; 0.1 degrees above the slip angle is enough for this."""
+"""Minimum distance that a slipping box moves in one second [m], which it reaches 0.1 degrees above the slip angle."""
 
-_SWING = 0.1  # rad: small, so that the series of the period below is exact to a millionth
+_SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
 _INERTIA, _TORQUE = rigs.pendulum_constants()
 _PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
-_DAMPING = 0.02  # N m s/rad: the swings halve in 5.6 s, over four periods
+_DAMPING = 0.02  # N m s/rad; the amplitude halves in 5.6 s, which is more than four periods
 _RATE = _DAMPING / (2 * _INERTIA)
 _WEIGHT = rigs.GRAVITY  # of one kilogram [N]
 
 
 def free_fall() -> Measurement:
-    """Measure the distance that an asymmetric body falls in 3 s, relative to g t^2 / 2."""
+    """Measure the distance that an asymmetric body falls in 3 s, as a ratio to g t^2 / 2."""
     stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
     moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
     first, last = moments[0], moments[-1]
@@ -71,7 +72,7 @@ def free_fall() -> Measurement:
 
 
 def slip_angle() -> Measurement:
-    """Measure the slope angle at which a box begins to slide, with two rounds of ramps."""
+    """Measure the slope angle at which a box begins to slide, using two rounds of ramps."""
     low, high, count = 15.0, 43.0, 14
     for _ in range(2):
         angles = np.linspace(low, high, count + 1).tolist()
@@ -83,7 +84,7 @@ def slip_angle() -> Measurement:
 
 
 def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the boxes that slipped in the last second; the time before lets them settle."""
+    """Return a mask of the boxes that slipped during the last second; they settle before that."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
     moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
@@ -98,7 +99,7 @@ def pendulum_period() -> Measurement:
 
 
 def damped_decay() -> Measurement:
-    """Measure the decay rate of a damped pendulum [1/s], from the first to the last peak."""
+    """Measure the decay rate of a damped pendulum [1/s] from its first to its last peak."""
     moments = yield Trial(rigs.scene_of("decay", rigs.pendulum(_SWING, _DAMPING)), Run(8.5, 0.004))
     times, heights = _peaks(moments, "pendulum.joint")
     slope, _ = np.polyfit(times, np.log(heights), 1)
@@ -119,7 +120,7 @@ def _crossings(moments: Moments, joint: str) -> Array:
 
 
 def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
-    """Return times and heights of a joint's turning points after the start, each fitted to three samples."""
+    """Return the times and heights of a joint's turning points after the start, each fitted to three samples."""
     t, q = _series(moments, joint)
     a = np.abs(q)
     k = np.flatnonzero((a[1:-1] > a[:-2]) & (a[1:-1] >= a[2:])) + 1
@@ -131,7 +132,7 @@ def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
 
 
 def rebound() -> Measurement:
-    """Measure the ratio of the speeds after and before the first bounce of a ball, from the heights."""
+    """Measure the ratio of a ball's speeds after and before its first bounce, computed from its heights."""
     ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
     floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
     moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
@@ -141,32 +142,32 @@ def rebound() -> Measurement:
 
 
 def _after_impact(moments: Moments) -> int:
-    """Return the index of the sample 50 ms after the expected impact of the ball."""
+    """Return the index of the sample 50 ms after the ball's expected impact."""
     impact = math.sqrt(2 * 0.5 / rigs.GRAVITY)
     return next(k for k, m in enumerate(moments) if m.time > impact + 0.05)
 
 
 def limit_holds() -> Measurement:
-    """Measure the distance by which a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
+    """Measure the final distance of a falling slider of 1 kg from its stop at 0.3 m [mm]."""
     moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
     return (moments[-1].joints["slider.joint"] - 0.3) * 1000
 
 
 def friction_holds() -> Measurement:
-    """Measure the distance that a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
+    """Measure the distance that a slider weighing 9.81 N sinks in one second with a Coulomb friction of 12 N [mm]."""
     moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def friction_slips() -> Measurement:
-    """Measure the acceleration of a slider of 9.81 N under a Coulomb friction of 6 N [m/s^2]."""
+    """Measure the acceleration of a slider weighing 9.81 N with a Coulomb friction of 6 N [m/s^2]."""
     moments = yield Trial(rigs.scene_of("slip", rigs.slider(friction=6.0)), Run(1.0, 1.0))
     last = moments[-1]
     return 2 * last.joints["slider.joint"] / last.time**2
 
 
 def damped_friction() -> Measurement:
-    """Measure the terminal speed of a slider of 9.81 N with 4 N s/m damping and 3 N Coulomb friction [m/s]."""
+    """Measure the terminal speed of a slider weighing 9.81 N with 4 N s/m damping and 3 N Coulomb friction [m/s]."""
     moments = yield Trial(rigs.scene_of("both", rigs.slider(damping=4.0, friction=3.0, travel=9.0)), Run(2.5, 0.5))
     before, last = moments[-2], moments[-1]
     return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
@@ -176,13 +177,16 @@ _SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
 
 
 def drive_holds() -> Measurement:
-    """Measure where a motor of 200 N/m with target 50 mm holds a slider of 9.81 N [mm]; the weight adds 49 mm."""
+    """Measure the position at which a motor with 200 N/m and a target of 50 mm holds a slider weighing 9.81 N [mm].
+
+    The weight adds 49 mm to the target.
+    """
     moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
     return moments[-1].joints["slider.joint"] * 1000
 
 
 def follower_keeps() -> Measurement:
-    """Measure the ratio of the travel of a follower, which should be 2, to that of its falling leader."""
+    """Measure the ratio between the travel of a follower and of its falling leader, which should be 2."""
     moments = yield Trial(rigs.scene_of("gear", rigs.geared(2.0)), Run(0.5, 0.1))
     last = moments[-1].joints
     if abs(last["gear.leader"]) < 0.01:
@@ -191,7 +195,7 @@ def follower_keeps() -> Measurement:
 
 
 def passes_through() -> Measurement:
-    """Measure the extra fall of a box that passes through a shelf, relative to the free fall in 0.3 s."""
+    """Measure the extra distance that a box falls by passing through a shelf, as a ratio to a free fall of 0.3 s."""
     shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
     boxes = [
         rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))
@@ -204,7 +208,7 @@ def passes_through() -> Measurement:
 
 
 _RESTING = {"crate": 0.03, "can": 0.05, "slab": 0.01, "wedge": 0.0}
-"""Heights of the object frames in :func:`settled_position` and :func:`settled_rotation`, at rest on the floor [m]."""
+"""Heights [m] of the object frames in :func:`settled_position` and :func:`settled_rotation` at rest on the floor."""
 
 
 def _dropped() -> Scene:
@@ -221,7 +225,7 @@ def _dropped() -> Scene:
 
 
 def settled_position() -> Measurement:
-    """Measure the largest position error among four objects after a fall of 5 mm [mm]."""
+    """Measure the largest position error of four objects after a fall of 5 mm [mm]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     last = moments[-1]
@@ -230,31 +234,31 @@ def settled_position() -> Measurement:
 
 
 def settled_rotation() -> Measurement:
-    """Measure the largest rotation among four objects after a fall of 5 mm [deg]."""
+    """Measure the largest rotation of four objects after a fall of 5 mm [deg]."""
     scene = _dropped()
     moments = yield Trial(scene, Run(2.0, 2.0))
     return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))
 
 
 BEHAVIORS: tuple[Behavior, ...] = (
-    Behavior("free_fall", "free fall, of g t²/2", "", 1.0, 1e-3, "one step of 3 s is 0.07 %", free_fall),
+    Behavior("free_fall", "free fall / (g t²/2)", "", 1.0, 1e-3, "one step in 3 s is 0.07 %", free_fall),
     Behavior("slip_angle", "box slips at", "deg", _SLIP, 1.0, "required accuracy; ramps 0.14 deg apart", slip_angle),
     Behavior("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the required accuracy", pendulum_period),
-    Behavior("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the required accuracy", damped_decay),
+    Behavior("decay", "damped swings decay at", "1/s", _RATE, 0.02 * _RATE, "2 %, the required accuracy", damped_decay),
     Behavior("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),
     Behavior("limit", "joint limit exceeded by", "mm", 0.0, 5.0, "limits are springs in most engines", limit_holds),
-    Behavior("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is invisible", friction_holds),
+    Behavior("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is not visible", friction_holds),
     Behavior("friction_slips", "slipping joint accelerates", "m/s²", _WEIGHT - 6.0, 0.05 * (_WEIGHT - 6.0),
               "5 %: one step of 1 s, and soft friction", friction_slips),
     Behavior("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
               0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as for the decay", damped_friction),
     Behavior("drive", "motor holds at", "mm", 1000 * (0.05 + _WEIGHT / 200.0), 1.0, "1 mm", drive_holds),
-    Behavior("mimic", "follower goes, of its leader", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
+    Behavior("mimic", "follower travel / leader travel", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
               follower_keeps),
-    Behavior("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other box settles by 1 or 2 mm",
+    Behavior("no_contact", "fall through shelf / free fall", "", 1.0, 0.02, "the other box settles by 1 or 2 mm",
               passes_through),
-    Behavior("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
+    Behavior("settled_mm", "settled position off by", "mm", 0.0, 1.0, "keeps any two engines within 2 mm",
               settled_position),
-    Behavior("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "so any two engines are within 1 degree",
+    Behavior("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "keeps any two engines within 1 degree",
               settled_rotation),
 )  # fmt: skip

@@ -1,6 +1,6 @@
-"""Comparison of an engine with the scene: each quantity must be equal or have a reported loss.
+"""Comparison of an engine's read-back with the scene, in which all differences must be covered by a reported loss.
 
-Equality is judged with the tolerance of the target's profile, relative to the quantity or to a minimum magnitude below
+Values are compared using the tolerance in the target's profile, relative to the value or to a minimum magnitude below
 which errors do not matter.
 """
 
@@ -36,14 +36,14 @@ FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "la
     **{"torsional_friction": 1e-3, "rolling_friction": 1e-3, "damping": 1e-3, "joint friction": 1e-3},
     **{"armature": 1e-4, "joint position": 1.0},
 }
-"""Magnitudes below which an error counts as absolute, in SI units; smaller values do not matter in a tabletop scene."""
+"""Magnitudes in SI units below which errors are absolute; smaller values do not matter in a tabletop scene."""
 
 SKIN_M = 2.5e-3
-"""Maximum distance of an approximated collision shape from the scene's [m]: Bullet's margin at both ends and a
-corner."""
+"""Maximum deviation of an approximated collision shape from the scene's [m], which allows for Bullet's margin at both
+ends and at a corner."""
 
 _WHOLE = ("link", "joint", "robot", "held", "collider")
-"""Quantities that must be present even if the whole object is approximated."""
+"""Quantities that must be present even if the entire object is approximated."""
 
 _WELDED = ("mass", "com", "inertia")
 """Quantities of a static link that an engine may omit."""
@@ -51,7 +51,7 @@ _WELDED = ("mass", "com", "inertia")
 
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "convex_mesh")
 _JOINTS = ("fixed_joint", "revolute", "continuous", "prismatic", "ball", "free")
-"""The features of which one describes a collider, and of which one describes a joint."""
+"""The features that describe collider shapes and joint types; each collider and each joint has exactly one of them."""
 
 _SURFACE = {
     "bounds": ("bounds", _SHAPES),
@@ -60,7 +60,7 @@ _SURFACE = {
     "torsional_friction": ("spinning", ("torsional_friction",)),
     "rolling_friction": ("rolling", ("rolling_friction",)),
 }
-"""The compared quantities of a collider, each with its field in a read-back and its features."""
+"""The collider quantities to compare, each with its read-back field and its features."""
 
 _JOINT = {
     "axis": ("axis", ()),
@@ -72,15 +72,15 @@ _JOINT = {
     "drive": ("drive", ("drive",)),
     "effort": ("effort", ("drive",)),
 }
-"""The compared quantities of a joint, each with its field in a read-back and its features."""
+"""The joint quantities to compare, each with its read-back field and its features."""
 
 Keys = frozenset[tuple[str, str]]
-"""The feature and the element of every loss that could explain a difference; see :class:`Loss`."""
+"""The feature and element of every loss that could explain a difference; see :class:`Loss`."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A quantity of ``name`` that differs in an engine; ``covered`` is the loss or gap that explains it."""
+    """A quantity of ``name`` that differs in an engine; ``covered`` is the loss or gap that explains the difference."""
 
     name: str
     quantity: str
@@ -90,13 +90,13 @@ class Difference:
     covered: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping without errors that are NaN."""
+        """Return the difference as plain data for JSON, without an error that is NaN."""
         return asdict(self) | {"error": self.error if math.isfinite(self.error) else None}
 
 
 @dataclass(frozen=True)
 class ReadbackComparison:
-    """The number of compared quantities, the unexplained and the explained differences, and stale losses."""
+    """The number of compared quantities, the unexplained and explained differences, and any stale losses."""
 
     compared: int
     mismatches: tuple[Difference, ...]
@@ -105,10 +105,10 @@ class ReadbackComparison:
 
 
 def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
-    """Compare an engine's read-back with the scene; ``losses`` are those of the target that it read."""
+    """Compare an engine's read-back with the scene; ``losses`` are the losses of the target it was read from."""
     names = {robot.name for robot in scene.robots}
-    # The conversion of a robot does not excuse differences of the compared quantities. Neither do colliders that are
-    # simpler than the visuals, because the colliders of the scene are compared.
+    # Converting a robot does not explain differences in the compared quantities. Nor do colliders that are simpler than
+    # the visuals, because the comparison uses the scene's colliders.
     lost = [
         loss
         for loss in losses
@@ -134,7 +134,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
 
 
 def _gap_reason(gap: Gap | None, difference: Difference) -> str:
-    """Return the reason of a gap if the engine lacks the quantity or its error is within the stated size."""
+    """Return a gap's reason if the engine lacks the quantity or if its error is within the gap's size."""
     if gap is None:
         return ""
     if gap.size is not None and difference.got is not None:
@@ -144,7 +144,7 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
 
 
 class _Checker:
-    """Compares two read-backs and collects the differences, with the keys of the losses that may explain them."""
+    """Compares two read-backs and collects the differences, with the keys of losses that could explain them."""
 
     def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
         self.expected, self.got, self.static, self.engine = expected, got, static, engine
@@ -154,7 +154,7 @@ class _Checker:
         self.found: list[tuple[Difference, Keys]] = []
 
     def run(self) -> None:
-        """Compare the names, then every quantity."""
+        """Compare all names, then all quantities."""
         self._names("link", self.expected.links, self.got.links)
         self._names("joint", self.expected.joints, self.got.joints)
         for name in [n for n in self.expected.links if n in self.got.links]:
@@ -168,7 +168,7 @@ class _Checker:
             self._silent(set(self.expected.silent or ()), set(self.got.silent))
 
     def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
-        """Compare a robot; if ``expected`` is None, only its presence is known."""
+        """Compare a robot; if ``expected`` is None, only its presence is checked."""
         keys = _keys(["robots"], name)
         self.compared += 1
         if got is None:
@@ -251,7 +251,7 @@ class _Checker:
             self._numbers(name, "joint position", expected.position, got.position, keys)
 
     def _silent(self, expected: set[str], got: set[str]) -> None:
-        """Compare the pairs of links that pass through each other, among those that could meet."""
+        """Compare the pairs of links whose collisions are disabled, among links that could touch."""
         colliding = {name for name, link in self.expected.links.items() if link.colliders}
         for pair in sorted(expected | got):
             ends = set(pair.split("|"))
@@ -261,14 +261,14 @@ class _Checker:
                 self._words(pair.replace("|", " and "), "contact", there, here, keys)
 
     def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: Keys) -> None:
-        """Compare strings; values that an engine does not report are skipped."""
+        """Compare strings, skipping values that an engine does not report."""
         if got is None or expected is None:
             self.untold |= keys
             return
         self._count(name, quantity, expected, got, 0.0 if expected == got else math.inf, keys)
 
     def _pairs(self, expected: Mapping[str, float], got: Mapping[str, float]) -> None:
-        """Compare pair frictions; pairs left to the engine's own rule have no entry, and equal frictions need none."""
+        """Compare pairwise frictions; pairs have no entry if they use the engine's own rule or have equal frictions."""
         surfaces = {
             f"{link}.{c.name}": c.friction for link, facts in self.expected.links.items() for c in facts.colliders or ()
         }
@@ -283,7 +283,7 @@ class _Checker:
     def _numbers(
         self, name: str, quantity: str, expected: object, got: object, keys: Keys, required: bool = False
     ) -> None:
-        """Compare scalars or vectors; values that an engine does not report are skipped unless they are required."""
+        """Compare scalars or vectors, skipping values that an engine does not report unless they are required."""
         if got is None or expected is None:
             self.untold |= keys
             if required and (got is None) != (expected is None):
@@ -301,7 +301,7 @@ class _Checker:
     def _count(self, name: str, quantity: str, expected: object, got: object, error: float, keys: Keys) -> None:
         self.compared += 1
         self.checked |= keys
-        if not error <= self.engine.tolerance(quantity):  # NaN is a difference, too
+        if not error <= self.engine.tolerance(quantity):  # NaN also counts as a difference
             self._add(name, quantity, expected, got, error, keys)
 
     def _add(self, name: str, quantity: str, expected: object, got: object, error: float, keys: Keys) -> None:
@@ -318,12 +318,12 @@ def _key(loss: Loss) -> tuple[str, str]:
 
 
 def _owners(link: str) -> tuple[str, str]:
-    """Return the object of a link and the link, by either of which a loss may name it."""
+    """Return the object name and the link name, because a loss may refer to a link by either of them."""
     return link.partition(".")[0], link
 
 
 def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
-    """Return true if a loss explains a difference; an approximation covers at most its stated size."""
+    """Return true if a loss explains a difference; an approximation explains errors up to its stated size."""
     if loss.fidelity is Fidelity.DROPPED:
         return _key(loss) in keys or (not loss.element and any(loss.feature == feature for feature, _ in keys))
     if difference.quantity in _WHOLE or _key(loss) not in keys:
@@ -337,7 +337,7 @@ def _covers(loss: Loss, keys: Keys, difference: Difference, expected: WorldReadb
 
 
 def _tip(scene: Scene, name: str) -> float:
-    """Return the distance by which the tips of a convex mesh move if all faces are inset by Bullet's margin [m].
+    """Return the distance [m] by which a convex mesh's tips move if all faces are inset by Bullet's margin.
 
     Sharper tips move farther.
     """
@@ -354,7 +354,7 @@ def _tip(scene: Scene, name: str) -> float:
 
 
 def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
-    """Return true if a coefficient is in the range of the link's coefficients, which it may then represent."""
+    """Return true if a coefficient can represent its link because it is in the range of the link's coefficients."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
@@ -362,6 +362,6 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
 
 
 def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
-    """Return true if the element of a loss was compared, so that the loss should have caused a difference."""
+    """Return true if the element of a loss was compared, in which case the loss should have caused a difference."""
     seen = _key(loss) in checker.checked - checker.untold
     return bool(loss.element) and seen and loss.feature not in engine.restored

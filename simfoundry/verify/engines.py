@@ -1,4 +1,4 @@
-"""Engines that can check a build: all targets with a ``readback.py``, and the interpreters that have them installed."""
+"""Engines that can verify a build, which are all targets with a ``readback.py``, and their Python interpreters."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from simfoundry.targets.profile import READ_BACK, Band, EngineSpec, Gap
 from simfoundry.verify.process import EngineJob, Run, ask_probe
 
 VARIABLE = "SIMFOUNDRY_ENGINES"
-"""The variable with interpreters, separated by commas: ``PATH`` applies to all engines, ``ENGINE=PATH`` to one."""
+"""The environment variable that lists interpreters, separated by commas; each entry is ``PATH`` or ``ENGINE=PATH``."""
 
 TOLERANCE = 1e-5
-"""Default relative tolerance of a profile: a hundred times what single precision needs."""
+"""Default relative tolerance of a profile, which is a hundred times the single-precision rounding error."""
 
 _FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
-"""Features of profiles whose names differ from those of the compared quantities."""
+"""The profile features whose names differ from the compared quantities."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +33,23 @@ class VerifyEngine:
 
     @property
     def spec(self) -> EngineSpec:
-        """The description of the engine: its name, its packages, its solver."""
+        """The description of the engine: its name, required packages and solver."""
         assert self.target.profile.engine is not None
         return self.target.profile.engine
 
     @property
     def name(self) -> str:
-        """The name in tables and after ``-e``."""
+        """The engine's name in tables and for ``-e``."""
         return self.spec.name or self.target.name
 
     @property
     def family(self) -> str:
-        """The common name of all engines of one package."""
+        """The name shared by all engines in the same package."""
         return self.spec.family or self.name
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """The required packages as ``module:distribution``, the engine itself first."""
+        """The required packages as ``module:distribution``, starting with the engine itself."""
         return tuple(f"{module}:{distribution}" for module, distribution in self.spec.modules.items())
 
     @property
@@ -65,11 +65,11 @@ class VerifyEngine:
         return self.target if profile.options or profile.writes else find_target(profile.backend)
 
     def folder_in(self, out: Path) -> Path | None:
-        """Return the folder to read in the output of ``compile -o``: its own target's, otherwise its build's."""
+        """Return the folder to read in the output of ``compile -o``: its own target's folder, or else its build's."""
         return next((p for p in (out / self.target.name, out / self.build.name) if p.is_dir()), None)
 
     def job(self, build: Path, run: Run | None = None) -> EngineJob:
-        """Return the job to read ``build`` with the loader for this engine."""
+        """Return a job that reads ``build`` with the loader for this engine."""
         own = self.target.loader
         if own is None or build.name == self.target.name:
             return EngineJob(build, run)
@@ -77,38 +77,38 @@ class VerifyEngine:
         return EngineJob(build, run, beside if beside.is_file() else own)
 
     def gap(self, quantity: str) -> Gap | None:
-        """Return the gap for a quantity that the engine does not preserve although the build contains it.
+        """Return the gap for a quantity that is in the build but that the engine does not preserve.
 
-        The engine then lacks the quantity, or, if the gap has a ``size``, has a value with at most this error.
+        The engine either lacks the quantity or, if the gap has a ``size``, has a value with at most this error.
         """
         return self.target.profile.gaps.get(_FEATURES.get(quantity, quantity))
 
     @property
     def restored(self) -> frozenset[str]:
-        """The features that the target's format drops and the loader for this engine restores."""
+        """The features that are dropped by the target's format but restored by the loader for this engine."""
         profile = self.target.profile
         combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
         return frozenset(profile.restores.keys() | combined)
 
     def band(self, behavior: str) -> Band | None:
-        """Return the known range of an incorrect result, None if the engine gives the right answer."""
+        """Return the known range of an incorrect result, or None if the engine reproduces the behavior."""
         return self.target.profile.behaviors.get(behavior)
 
     def tolerance(self, quantity: str) -> float:
-        """Return the maximum relative error of a quantity that is read back."""
+        """Return the maximum relative error for a quantity that is read back."""
         stated = self.target.profile.tolerances
         found = stated.get(quantity.replace(" ", "_")) or stated.get(READ_BACK)
         return TOLERANCE if found is None else found.value
 
     def behavior_tolerance(self, behavior: str, default: float) -> float:
-        """Return the maximum error of a behavior, in its unit."""
+        """Return the maximum error for a behavior, in its unit."""
         found = self.target.profile.tolerances.get(behavior)
         return default if found is None else found.value
 
 
 @dataclass(frozen=True)
 class InstalledEngine:
-    """An engine with the interpreter that has it installed, and its version."""
+    """An engine, the interpreter in which it is installed, and its version."""
 
     engine: VerifyEngine
     python: Path
@@ -116,17 +116,17 @@ class InstalledEngine:
 
 
 class UnknownEngineError(SimfoundryError):
-    """An unknown engine name; the message lists the valid names."""
+    """Raised for an unknown engine name; the message lists the valid names."""
 
 
 def all_engines() -> tuple[VerifyEngine, ...]:
-    """Return all engines, in the order of the targets."""
+    """Return all engines in target order."""
     targets = (find_target(name) for name in target_names())
     return tuple(VerifyEngine(target) for target in targets if target.readback is not None)
 
 
 def find_engine(name: str) -> VerifyEngine:
-    """Return the engine called ``name``, or the engine of the target or folder of that name."""
+    """Return the engine called ``name``, or the engine of the target or folder with this name."""
     engines = all_engines()
     for engine in engines:
         if name in (engine.name, engine.target.name):
@@ -135,14 +135,17 @@ def find_engine(name: str) -> VerifyEngine:
         target = find_target(name)
         if target.readback is not None:
             return VerifyEngine(target)
-        raise UnknownEngineError(f"the target at {name} has no `readback.py`, so nothing can read its builds")
-    raise UnknownEngineError(f"no engine is called `{name}`; there are: {', '.join(e.name for e in engines)}")
+        raise UnknownEngineError(f"the target at {name} has no `readback.py`, so its builds cannot be read back")
+    raise UnknownEngineError(f"no engine is called `{name}`; available engines: {', '.join(e.name for e in engines)}")
 
 
 def interpreters(
     options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
 ) -> dict[str, list[Path]]:
-    """Return the interpreters by engine or family (``""`` for all): from ``--python``, the variable, and this one."""
+    """Return the interpreters by engine or family, or ``""`` for all engines.
+
+    They are taken from ``--python``, then from the environment variable; the current interpreter is the last one.
+    """
     places: dict[str, list[Path]] = {"": []}
     families = {name for e in (*all_engines(), *engines) for name in (e.name, e.family)}
     for entry in (*options, *environment.get(VARIABLE, "").split(",")):
@@ -150,7 +153,7 @@ def interpreters(
         if not path:
             continue
         if name and name not in families:
-            raise UnknownEngineError(f"no engine is called `{name}`; there are: {', '.join(sorted(families))}")
+            raise UnknownEngineError(f"no engine is called `{name}`; available engines: {', '.join(sorted(families))}")
         if not Path(path).is_file():
             raise SimfoundryError(f"there is no interpreter at {path}, which is configured for {name or 'all engines'}")
         places.setdefault(name, []).append(Path(path))
@@ -161,7 +164,7 @@ def interpreters(
 def find_installed(
     engines: Mapping[str, VerifyEngine], places: Mapping[str, Sequence[Path]]
 ) -> dict[str, InstalledEngine | None]:
-    """Return each engine by name with the first interpreter that meets its requirements; None if there is none."""
+    """Return each engine by name with the first interpreter that meets its requirements, or None if there is none."""
     modules = tuple(sorted({module for engine in engines.values() for module in engine.modules}))
     found: dict[str, InstalledEngine | None] = {}
     for engine in engines.values():
@@ -174,7 +177,7 @@ def find_installed(
 
 @cache
 def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
-    """Return the versions of the given modules in an interpreter; empty if it does not start."""
+    """Return the versions of the given modules in an interpreter, or nothing if it does not start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

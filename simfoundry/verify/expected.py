@@ -1,7 +1,7 @@
-"""The read-back that an engine should return for a scene, derived from the lowered scene and the models of its robots.
+"""The read-back that an engine should return for a scene, derived from the lowered scene and its robot models.
 
-An engine reports a robot like an object, link by link. The comparison uses only quantities that the robot's model and
-the scene determine for every target: base pose, total mass, joint positions and joint limits.
+An engine reports a robot like an object, link by link. Only the quantities that the robot's model and the scene
+determine for every target are compared: base pose, total mass, joint positions and joint limits.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from simfoundry.verify.readback import (
 )
 
 SPLIT_CAPSULES = ("urdf",)
-"""Targets that write a capsule as a cylinder and two spheres, which have the same shape."""
+"""Targets that write a capsule as a cylinder and two spheres, which together have the same shape."""
 
 _NO_JOINT = (JointType.FIXED, JointType.FREE)
-"""Joint types that are not reported; a free joint appears in the parent and pose of its link."""
+"""Joint types that are not reported; a free joint is represented by the parent and pose of its link."""
 
 
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
-    """Return the read-back of ``scene`` as written by ``target``, with all pairs of colliders whose surfaces differ."""
+    """Return the read-back for ``scene`` as written by ``target``, with all collider pairs whose frictions differ."""
     links: dict[str, LinkReadback] = {}
     joints: dict[str, JointReadback] = {}
     for item in scene.objects:
@@ -68,7 +68,7 @@ def static_links(scene: Scene) -> set[str]:
 
 def _held(item: SceneObject) -> set[str]:
     held = {item.root.name} if item.fixed else set()
-    for link in item.links:  # parents come before their children
+    for link in item.links:  # parents precede their children
         joint = item.joint_above.get(link.name)
         if joint is not None and joint.type is JointType.FIXED and joint.parent in held:
             held.add(link.name)
@@ -130,7 +130,7 @@ def _joint(item: SceneObject, joint: Joint) -> JointReadback:
 
 
 def _silent(scene: Scene) -> Iterator[str]:
-    """Yield pairs of links whose collisions are disabled: those listed in the spec, and neighboring links."""
+    """Yield the pairs of links whose collisions are disabled: those listed in the spec, and neighboring links."""
     static = static_links(scene)
     felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
     pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in excluded_link_pairs(o)]
@@ -140,7 +140,7 @@ def _silent(scene: Scene) -> Iterator[str]:
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
-    """Yield pairs of colliders of different objects that can meet and whose frictions differ, with their friction."""
+    """Yield pairs of colliders in different objects that can touch but whose frictions differ, with their friction."""
     unheard = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
@@ -159,15 +159,17 @@ def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
 
 _READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
 _OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
-"""The robot formats that each target accepts, in order of preference."""
+"""The robot model formats that each target accepts, in order of preference."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True)
 class RobotReadback:
-    """A robot: the ``pose`` of its base link in the world, the total ``mass`` [kg], its joints by their own names, of
-    which limits and position are compared, and its ``actuators``; None means not reported."""
+    """A robot: its base link's ``pose`` in the world, total ``mass`` [kg], joints by name, and ``actuators``.
+
+    Only the limits and the position of each joint are compared. None means that a value is not reported.
+    """
 
     pose: Numbers | None
     mass: float | None
@@ -176,12 +178,12 @@ class RobotReadback:
 
 
 def expected_robots(scene: Scene, target: str) -> dict[str, RobotReadback | None]:
-    """Return the expected values of each robot in ``target``; None if it has no model that can be read."""
+    """Return the expected values for each robot in ``target``, or None for a robot without a readable model."""
     return {robot.name: _expected(robot, target) for robot in scene.robots}
 
 
 def without_robots(facts: WorldReadback, names: Iterable[str]) -> tuple[WorldReadback, dict[str, RobotReadback]]:
-    """Split a read-back into that of the objects and that of the robots present."""
+    """Split a read-back into the objects and the robots that are present."""
     robots = [name for name in names if any(_of(link, name) for link in facts.links)]
 
     def is_ours(name: str) -> bool:
@@ -203,7 +205,7 @@ def _of(name: str, robot: str) -> bool:
 
 def _reported_robot(facts: WorldReadback, robot: str) -> RobotReadback:
     links = {n: f for n, f in facts.links.items() if _of(n, robot)}
-    # Some engines report no mass for a base welded to the world; the mass of the rest is then compared without it.
+    # Some engines report no mass for a base that is welded to the world; its mass is then excluded from the comparison.
     masses = [f.mass for f in links.values() if f.mass is not None]
     joints = {n.removeprefix(f"{robot}."): f for n, f in facts.joints.items() if _of(n, robot)}
     actuators = None
@@ -235,7 +237,7 @@ def _expected(robot: Robot, target: str) -> RobotReadback | None:
 
 
 def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
-    """Return the joints as MuJoCo reads the robot's file, in the initial state; ``names`` are those of a conversion."""
+    """Return the joints of the robot's file in their initial state, renamed to the ``names`` of a conversion."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)
@@ -246,7 +248,7 @@ def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadb
 
 
 def _of_urdf(robot: Robot, native: NativeModel) -> RobotReadback:
-    """Return the values stated by the URDF itself; mimic joints have no motor."""
+    """Return the values specified in the URDF itself; mimic joints have no motor."""
     root = ET.parse(native.file).getroot()
     mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
     moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]

@@ -1,10 +1,10 @@
-"""Reader processes for engines, so that a crash or hang becomes an error result instead of ending the run.
+"""Reader processes for engines, which turn a crash or hang into an error result instead of ending the run.
 
-:func:`main` runs in the process of an engine; its argument is the ``readback.py`` of a target. Each job is a line of
-JSON on standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each result is
-a line of JSON on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. Output of the engine goes to
-standard error. With ``--probe``, it prints, as a line of JSON, the given packages that its interpreter can import, with
-versions.
+:func:`main` runs in an engine's process; its argument is the ``readback.py`` of a target. Each job is a line of JSON on
+standard input, ``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each result is a line
+of JSON on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. The engine's output goes to standard
+error. With ``--probe``, :func:`main` prints a line of JSON with the versions of those given packages that its
+interpreter can import.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from simfoundry.verify.readback import Moment, Session, WorldReadback
 
 _PACKAGE = Path(simfoundry.__file__).resolve().parent
 
-# Only this package is passed on: its folder may contain packages for another Python version.
+# Only this package is made importable, because its folder may contain packages for another Python version.
 _START = (
     "import importlib.util as u, sys; i, d = sys.argv[1:3]; "
     "s = u.spec_from_file_location('simfoundry', i, submodule_search_locations=[d]); "
@@ -41,14 +41,14 @@ _START = (
 )
 
 PROBE_S = 60.0
-"""Timeout for an interpreter to report its installed modules [s]; exceeded only if it hangs."""
+"""Timeout for an interpreter to report its installed modules [s], which is exceeded only if it hangs."""
 TIMEOUT_S = 180.0
 """Timeout for an engine to process one build, including its startup [s]."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """The duration of a run [s], and the interval between its samples [s]."""
+    """The duration of a simulation [s] and the interval between its samples [s]."""
 
     seconds: float
     every: float
@@ -63,7 +63,7 @@ class EngineJob:
     loader: Path | None = None
 
     def line(self) -> str:
-        """Return the job as a line of input for the reader."""
+        """Return the job as a line of input for the reader process."""
         run = None if self.run is None else {"seconds": self.run.seconds, "every": self.run.every}
         build, loader = self.build.resolve(), (self.loader or self.build / "load.py").resolve()
         return json.dumps({"build": str(build), "loader": str(loader), "run": run}) + "\n"
@@ -71,7 +71,7 @@ class EngineJob:
 
 @dataclass(frozen=True)
 class EngineAnswer:
-    """The result of a job: a read-back or the samples of a run, or the ``error``."""
+    """The result of a job, which is a read-back, the samples of a run, or an ``error``."""
 
     facts: WorldReadback | None
     moments: tuple[Moment, ...]
@@ -85,7 +85,7 @@ def command(python: Path, *arguments: str) -> list[str]:
 
 
 def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
-    """Return the versions of the given ``module:distribution`` entries that an interpreter can find."""
+    """Return the versions of those given ``module:distribution`` entries that another interpreter can find."""
     done = subprocess.run(
         command(python, "--probe", *modules), capture_output=True, text=True, timeout=PROBE_S, check=True
     )
@@ -100,10 +100,17 @@ def ask(
     timeout: float = TIMEOUT_S,
     report: Callable[[int], None] = lambda done: None,
 ) -> list[EngineAnswer]:
-    """Run jobs with the engine of a ``readback.py`` and return the answers in order.
+    """Run jobs in an engine and return the answers in job order.
 
-    ``report`` receives the number of completed jobs. One process serves all jobs. If it dies or hangs, the answer of
-    the current job says so, and a new process continues with the next job.
+    A single process handles all jobs. If it dies or hangs, the answer to the current job contains this error, and a new
+    process continues with the next job.
+
+    Args:
+        python: The interpreter in which the engine is installed.
+        readback: The ``readback.py`` of the engine's target.
+        jobs: The jobs to run.
+        timeout: The maximum time per job [s].
+        report: A callback that receives the number of completed jobs.
     """
     answers: list[EngineAnswer] = []
     while len(answers) < len(jobs):
@@ -114,7 +121,7 @@ def ask(
 
 
 def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: float) -> Iterator[EngineAnswer]:
-    """Yield the answers of one process, up to and including the job at which it failed."""
+    """Yield the answers from one process, up to and including the first job for which it failed."""
     with tempfile.TemporaryFile() as log:
         serve = command(python, str(readback.resolve()))
         process = subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -135,7 +142,7 @@ def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: flo
 def _one(
     process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: EngineJob, timeout: float, log: IO[bytes]
 ) -> tuple[EngineAnswer, bool]:
-    """Return the answer to a job, and true if the process can accept another."""
+    """Return the answer to a job, and true if the process can accept another job."""
     start = time.monotonic()
     try:
         assert process.stdin is not None
@@ -144,7 +151,7 @@ def _one(
         line = lines.get(timeout=timeout)
     except queue.Empty:
         return _failure(f"did not respond within {timeout:g} s", log, start), False
-    except OSError:  # a broken pipe: the process died before it read the job
+    except OSError:  # a broken pipe, because the process died before it read the job
         line = None
     if line is None:
         return _failure(_how_it_ended(process), log, start), False
@@ -171,7 +178,7 @@ def _how_it_ended(process: subprocess.Popen[str]) -> str:
 
 
 def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
-    """Return the answer of an engine that failed, with the last line that it printed."""
+    """Return the answer for an engine that failed, including the last line it printed."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
     last = f"; its last output was: {said[-1][:200]}" if said else ""
@@ -179,9 +186,9 @@ def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer every job; return 0 unless the arguments are wrong."""
+    """Answer all jobs, and return 0 unless the arguments are invalid."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # engines print to standard output, which carries the answers
+    os.dup2(2, 1)  # engines print to standard output, which is reserved for answers
     if arguments[:1] == ["--probe"]:
         print(json.dumps(probe(arguments[1:])), file=answers, flush=True)
         return 0
@@ -192,7 +199,7 @@ def main(arguments: list[str]) -> int:
 
 
 def probe(packages: list[str]) -> dict[str, str]:
-    """Return the versions of the given ``module:distribution`` entries found here, without importing any."""
+    """Return the versions of the available ``module:distribution`` entries without importing any of them."""
     found = {}
     for entry in packages:
         module, _, distribution = entry.partition(":")
@@ -212,7 +219,7 @@ def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
     try:
         build = Path(job["build"])
         session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
-    except Exception as error:  # any error of the engine is the answer
+    except Exception as error:  # any error in the engine becomes the answer
         return {"error": f"{type(error).__name__}: {error}"}
     try:
         moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
@@ -224,7 +231,7 @@ def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
-    """Return samples at the start and then about every ``every`` seconds, at whole time steps."""
+    """Simulate and return samples at the start and then about every ``every`` seconds, at whole time steps."""
     steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
     moments = [session.moment(0.0).to_json()]
     for k in range(1, steps + 1):

@@ -1,8 +1,9 @@
-"""The read-back of an engine: the contents of a build in the scene's terms, and its JSON form between processes.
+"""Read-back data from an engine, which describes a build in the scene's terms, and its JSON form for other processes.
 
-None stands for a value that an engine does not report or does not store. Numbers are in SI units; poses are ``[x, y, z,
-qw, qx, qy, qz]``. A root link has the name of the object, any other link ``object.link``; a joint is ``object.joint``.
-This module needs only numpy, because it runs beside each engine in that engine's environment.
+None means that an engine does not report or store a value. Numbers are in SI units; poses are ``[x, y, z, qw, qx, qy,
+qz]``. A root link is named after the object, any other link is named ``object.link``, and a joint ``object.joint``.
+
+This module requires only numpy, because it runs in each engine's own environment.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True)
 class ColliderReadback:
-    """One collision shape.
+    """A collision shape.
 
-    ``name`` is the collider's name in its link, None if the engine does not store it; shapes are then matched by order.
-    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``. ``bounds`` are the low and high corners of
-    its bounding box along the link axes [m]. ``friction`` and ``restitution`` are those of the surface, before any pair
-    rule; ``spinning`` and ``rolling`` are its resistances [m].
+    ``name`` is the collider's name in its link, or None if the engine does not store it, in which case shapes are
+    matched by order. ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``. ``bounds`` contains the
+    minimum and maximum corners [m] of the bounding box along the link axes. ``friction`` and ``restitution`` are the
+    surface's own values, before any combination rule; ``spinning`` and ``rolling`` are its resistances [m].
     """
 
     name: str | None = None
@@ -39,14 +40,15 @@ class ColliderReadback:
 
 
 FREE, WORLD = "free", "world"
-"""The two values that describe a root link: free, or fixed to the world."""
+"""The two possible parents of a root link: ``free`` for a free link, and ``world`` for a link fixed to the world."""
 
 
 @dataclass(frozen=True)
 class LinkReadback:
-    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row-major.
+    """A link, with its pose, mass properties, parent and colliders.
 
-    ``held`` is the parent link, or :data:`FREE`, or :data:`WORLD`.
+    ``mass`` is in kg, ``com`` [m] is in the link frame, and ``inertia`` [kg m^2] is the row-major matrix about the
+    center of mass in link axes. ``held`` is the parent link, :data:`FREE` or :data:`WORLD`.
     """
 
     pose: Numbers | None = None
@@ -59,12 +61,13 @@ class LinkReadback:
 
 @dataclass(frozen=True)
 class JointReadback:
-    """A moving joint; ``axis`` is in the child link's frame; ``limits`` is empty if the engine reports none.
+    """A movable joint.
 
-    A revolute joint without limits may be read back as continuous, and vice versa. ``position`` is an angle, a length,
-    or the quaternion of a ball joint. ``follows`` is the joint that it mimics, or empty, with the multiplier and offset
-    in ``law``. ``drive`` is stiffness, damping and target of its motor, and ``effort`` its maximum force; both are
-    empty without a motor.
+    ``axis`` is expressed in the child link's frame. ``limits`` is empty if the engine reports no limits; a revolute
+    joint without limits may be read back as continuous, and vice versa. ``position`` is an angle, a length, or the
+    quaternion of a ball joint. ``follows`` is the joint that a mimic joint follows, or empty, and ``law`` contains its
+    multiplier and offset. ``drive`` contains the stiffness, damping and target of the motor, and ``effort`` its maximum
+    force; both are empty for a joint without a motor.
     """
 
     type: str | None = None
@@ -82,11 +85,12 @@ class JointReadback:
 
 @dataclass(frozen=True)
 class WorldReadback:
-    """All data that an engine reports about a world; ``pairs`` are its frictions for pairs of colliders.
+    """All data that an engine reports about a world.
 
-    A pair is two ``link.collider`` names in alphabetical order, separated by a bar; ``silent`` are pairs of links that
-    pass through each other, in the same form. ``actuators`` are the motors by name. Robots are reported like objects,
-    with links ``robot.link`` and the base frame ``robot``.
+    ``pairs`` contains the friction of pairs of colliders. A pair consists of two ``link.collider`` names in
+    alphabetical order, separated by a bar. ``silent`` contains the pairs of links whose collisions are disabled, in the
+    same form. ``actuators`` contains the motor names. Robots are reported like objects, with links named ``robot.link``
+    and the base frame ``robot``.
     """
 
     links: Mapping[str, LinkReadback] = field(default_factory=dict)
@@ -113,7 +117,7 @@ class WorldReadback:
 
 @dataclass(frozen=True)
 class Moment:
-    """A sample of a run at a time [s]: poses of the objects, positions of the joints [rad or m]."""
+    """A sample of a simulation at a time [s], with the object poses and the joint positions [rad or m]."""
 
     time: float
     poses: Mapping[str, Numbers]
@@ -134,17 +138,17 @@ class Moment:
 
 
 TIMESTEP = 1e-3
-"""Time step [s] for engines whose build does not set one, small enough for all behaviors of ``verify``."""
+"""Time step [s] for builds that do not specify one, which is small enough for all behaviors in ``verify``."""
 
 
 class Session(ABC):
-    """A build loaded in an engine, in the initial state of the scene; ``timestep`` [s] is 0 if it cannot be stepped."""
+    """A build loaded in an engine, in the scene's initial state; ``timestep`` [s] is 0 if it cannot be stepped."""
 
     timestep = TIMESTEP
 
     @abstractmethod
     def read(self) -> WorldReadback:
-        """Return the data that the engine holds."""
+        """Return the data stored in the engine."""
 
     @abstractmethod
     def step(self) -> None:
@@ -152,14 +156,14 @@ class Session(ABC):
 
     @abstractmethod
     def moment(self, time: float) -> Moment:
-        """Return the current sample; ``time`` [s] is only recorded."""
+        """Return a sample of the current state, labeled with ``time`` [s]."""
 
-    def close(self) -> None:  # noqa: B027  # most engines free their memory with the session
-        """Release the engine, if it does not do so with the object."""
+    def close(self) -> None:  # noqa: B027  # most engines release their memory with the session
+        """Release engine resources that are not released with the object."""
 
 
 def driven(joints: Mapping[str, JointReadback]) -> tuple[str, ...]:
-    """Return the names of the joints with a motor."""
+    """Return the names of the joints that have a motor."""
     return tuple(name for name, joint in joints.items() if joint.drive)
 
 
@@ -179,12 +183,15 @@ def pose_of(values: Sequence[float]) -> Pose:
 
 
 def pair_name(a: str, b: str) -> str:
-    """Return two names in alphabetical order, separated by a bar."""
+    """Join two names in alphabetical order with a bar."""
     return "|".join(sorted((a, b)))
 
 
 def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:
-    """Return the bounds of a primitive in link axes: box ``x y z``; sphere ``r``; cylinder and capsule ``r h``."""
+    """Return the bounds of a primitive in link axes.
+
+    ``size`` is ``x y z`` for a box, ``r`` for a sphere, and ``r h`` for a cylinder or a capsule.
+    """
     r = X_LG.rotation
     match kind:
         case "box":

@@ -1,4 +1,4 @@
-"""Small mechanisms for measuring behaviors, as lowered scenes."""
+"""Small mechanisms for behavior measurements, as lowered scenes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def solid(
     name: str, shape: Primitive, X_WO: Pose, mass: float = 0.2, friction: float = 0.5, restitution: float = 0.0,
     fixed: bool = False,
 ) -> SceneObject:  # fmt: skip
-    """Return an object with one primitive of uniform density at its frame."""
+    """Return an object that consists of one primitive with uniform density, located at the object's frame."""
     link = _link("body", mass, moments(shape, mass), np.zeros(3), shape, friction, restitution)
     return SceneObject(name, name, fixed, X_WO, (link,))
 
@@ -49,7 +49,7 @@ def moments(shape: Primitive, mass: float) -> Array:
         case Cylinder(radius=r, height=h):
             side = mass * (3 * r * r + h * h) / 12
             return np.array([side, side, mass * r * r / 2])
-    raise ValueError(f"no rig is made of {type(shape).__name__}")
+    raise ValueError(f"unsupported shape {type(shape).__name__}")
 
 
 def box(x: float, y: float, z: float) -> Box:
@@ -58,7 +58,7 @@ def box(x: float, y: float, z: float) -> Box:
 
 
 def lopsided(name: str, X_WO: Pose) -> SceneObject:
-    """Return a ball with an off-center center of mass and a non-diagonal inertia."""
+    """Return a ball with an eccentric center of mass and a non-diagonal inertia."""
     turn = posed(0, 0, 0, 0.4, -0.3, 0.9).rotation
     inertia = turn @ np.diag([2e-4, 3e-4, 4e-4]) @ turn.T
     link = _link("body", 0.4, inertia, np.array([0.02, -0.01, 0.03]), Sphere(0.05), 0.5, 0.0)
@@ -66,7 +66,7 @@ def lopsided(name: str, X_WO: Pose) -> SceneObject:
 
 
 def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
-    """Return a convex mesh of six vertices that lies on its largest face, 0.12 m x 0.08 m x 0.05 m."""
+    """Return a wedge of 0.12 m x 0.08 m x 0.05 m, a convex mesh with six vertices that lies on its largest face."""
     x, y, z = 0.12, 0.08, 0.05
     vertices = np.array([[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]) - [x / 3, y / 2, 0.0]
     faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
@@ -80,7 +80,7 @@ def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
 
 
 def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
-    """Return a box on each of several fixed ramps, side by side along y; a sliding box moves toward -x."""
+    """Return a scene with several fixed ramps side by side along y and a box on each; sliding boxes move toward -x."""
     objects = []
     for k, angle in enumerate(degrees):
         X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))
@@ -94,7 +94,7 @@ def jointed(
     name: str, kind: JointType, axis: Sequence[float], bob: tuple[float, Array, Array], X_WO: Pose,
     limits: tuple[float, float] | None, damping: float = 0.0, friction: float = 0.0, position: float = 0.0,
 ) -> SceneObject:  # fmt: skip
-    """Return a mount fixed to the world and a moving bob: ``bob`` is mass, center of mass and inertia."""
+    """Return a mount fixed to the world with a movable bob; ``bob`` contains its mass, center of mass and inertia."""
     mass, com, inertia = bob
     mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04), 0.5, 0.0)
     shape = box(0.03, 0.03, 0.03)
@@ -110,7 +110,7 @@ def jointed(
 
 
 def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
-    """Return a physical pendulum, 0.5 kg at 0.4 m below a hinge along y, released at an angle [rad] from hanging."""
+    """Return a physical pendulum of 0.5 kg, 0.4 m below a hinge along y, deflected by ``amplitude`` [rad]."""
     mass, length = 0.5, 0.4
     inertia = moments(box(0.05, 0.07, 0.09), mass)
     bob = (mass, np.array([0.0, 0.0, -length]), np.diag(inertia))
@@ -126,7 +126,7 @@ def pendulum_constants() -> tuple[float, float]:
 
 
 def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, drive: Drive | None = None) -> SceneObject:
-    """Return a vertical slider of 1 kg that can fall by ``travel`` [m] from its upper end; positive is down."""
+    """Return a vertical slider of 1 kg that can fall by ``travel`` [m] from its upper end; its axis points down."""
     bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
     item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
                    damping=damping, friction=friction)  # fmt: skip

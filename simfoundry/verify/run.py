@@ -1,4 +1,4 @@
-"""Verification runs: read-back and behaviors in every engine."""
+"""Verification runs, which read back scenes and measure behaviors in every engine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from simfoundry.verify.process import TIMEOUT_S, EngineAnswer, EngineJob, Run, a
 from simfoundry.verify.readback import Moment, pose_of
 
 Report = Callable[[str, int], None]
-"""Callback that receives the current activity of an engine and the number of work units completed since."""
+"""A callback that receives an engine's current activity and the number of work units completed since the last call."""
 
 
 class ProofStatus(StrEnum):
@@ -39,7 +39,7 @@ class ProofStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SceneBuilds:
-    """A scene to verify, its name in the table, and for each engine the build that it reads with its losses.
+    """A scene to verify, with its name in the table, and the build and losses for each engine.
 
     The losses are those of the backend; the engine's loader may restore some of the features.
     """
@@ -52,7 +52,7 @@ class SceneBuilds:
 
 @dataclass(frozen=True)
 class ReadbackResult:
-    """The read-back of a scene in an engine: the comparison, or the ``error`` if it could not be loaded."""
+    """The comparison of a scene with its read-back from an engine, or the ``error`` if it could not be loaded."""
 
     subject: str
     engine: str
@@ -62,7 +62,7 @@ class ReadbackResult:
 
     @property
     def verdict(self) -> ProofStatus:
-        """The worst result: an unexplained difference, a known loss, or neither."""
+        """The most severe result: an unexplained difference, a known loss, or neither."""
         if self.comparison is None:
             return ProofStatus.FAILED
         if self.comparison.mismatches:
@@ -84,7 +84,7 @@ class ReadbackResult:
 
 @dataclass(frozen=True)
 class BehaviorResult:
-    """A behavior in an engine: the value or ``error``; ``reason`` explains a known deviation of the engine."""
+    """The measured value of a behavior in an engine, or the ``error``; ``reason`` explains a known deviation."""
 
     behavior: str
     engine: str
@@ -99,7 +99,7 @@ class BehaviorResult:
 
 
 def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
-    """Compile a scene for engines below ``folder``; engines that use the same build share it."""
+    """Compile a scene for ``engines`` into ``folder``; engines that read the same build share it."""
     builds: dict[str, Path] = {}
     losses: dict[str, tuple[Loss, ...]] = {}
     compiled: dict[str, Artifact] = {}
@@ -119,7 +119,7 @@ def read_subjects(
     workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[ReadbackResult]:
-    """Read every scene in every engine, engine by engine, with ``workers`` engines in parallel."""
+    """Read back every scene in every engine, with up to ``workers`` engines in parallel."""
 
     def one(found: InstalledEngine) -> list[ReadbackResult]:
         engine = found.engine
@@ -143,7 +143,7 @@ def measure_behaviors(
     behaviors: Sequence[Behavior], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[BehaviorResult]:  # fmt: skip
-    """Measure every behavior in every engine that can step."""
+    """Measure every behavior in every engine that supports stepping."""
 
     def one(found: InstalledEngine) -> list[BehaviorResult]:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
@@ -155,7 +155,7 @@ def measure_behaviors(
 
 
 class _Bench:
-    """Runs the measurements of one engine; concurrent trials go to one process."""
+    """Runs the measurements for one engine, in which concurrent trials share a process."""
 
     def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
@@ -202,7 +202,7 @@ def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | 
 
 
 def judge_result(behavior: Behavior, engine: VerifyEngine, outcome: float | str) -> BehaviorResult:
-    """Compare a value with the analytic one and with the known deviation of the engine."""
+    """Compare a measured value with the analytic value and with the engine's known deviation."""
     if isinstance(outcome, str):
         return BehaviorResult(behavior.name, engine.name, None, ProofStatus.FAILED, "", outcome)
     if abs(outcome - behavior.expected) <= engine.behavior_tolerance(behavior.name, behavior.tolerance):
@@ -214,17 +214,17 @@ def judge_result(behavior: Behavior, engine: VerifyEngine, outcome: float | str)
 
 
 LEFT_ALONE = Run(2.0, 2.0)
-"""Simulated time [s], in which an unstable object falls over."""
+"""The simulated duration [s], which is long enough for an unstable object to fall over."""
 
 NEAR_MM, NEAR_DEG = 1.0, 0.5
-"""Maximum deviation of an engine from the median state, so that any two are within 2 mm and 1 degree."""
+"""Maximum deviation of an engine from the median state, which limits any two engines to within 2 mm and 1 degree."""
 
 
 @dataclass(frozen=True)
 class RestResult:
     """The resting state of a scene in one engine, compared with the engine that is closest to all others.
 
-    ``mm`` and ``deg`` are the deviations of ``worst``, an object or a joint.
+    ``mm`` and ``deg`` are the deviations of ``worst``, which is the object or joint with the largest deviation.
     """
 
     subject: str
@@ -242,14 +242,14 @@ class RestResult:
 
 @dataclass(frozen=True)
 class _Place:
-    """The resting place of an object or joint: a point [m], and an orientation or an angle [rad]."""
+    """The resting pose of an object or the resting position of a joint: a point [m], and a rotation or angle [rad]."""
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None
     angle: float = 0.0
 
     def apart(self, other: _Place) -> tuple[float, float]:
-        """Return the distance to another place in millimeters and degrees."""
+        """Return the distance to another resting place in millimeters and degrees."""
         mm = 1000 * float(np.linalg.norm(np.subtract(self.point, other.point)))
         turned = abs(self.angle - other.angle)
         if self.q is not None and other.q is not None:
@@ -264,7 +264,10 @@ def settle_subjects(
     workers: int = 1,
     timeout: float = TIMEOUT_S,
 ) -> list[RestResult]:
-    """Run every scene with movable objects in every engine that can step; return nothing if there is only one."""
+    """Simulate every scene with movable objects in every engine that supports stepping.
+
+    Returns an empty list if there is only one such engine.
+    """
     moving = [s for s in subjects if _moves(s.scene)]
     stepping = [f for f in engines if f.engine.spec.steps]
     if len(stepping) < 2 or not moving:
@@ -284,7 +287,7 @@ def settle_subjects(
 
 
 def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[RestResult]:
-    """Return a result for each engine; ``ends`` has their last samples or errors."""
+    """Return a result for each engine; ``ends`` contains their last samples or errors."""
     places = {name: _places(subject.scene, end) for name, end in ends.items() if isinstance(end, Moment)}
     things = _things(subject.scene)
     middle = {thing: _medoid([p[thing] for p in places.values()]) for thing in things} if places else {}
@@ -307,7 +310,7 @@ def _moves(scene: Scene) -> bool:
 
 
 def _things(scene: Scene) -> list[str]:
-    """Return the free objects, and the joints with exactly one degree of freedom."""
+    """Return the names of the free objects and of the joints with exactly one degree of freedom."""
     one = (JointType.REVOLUTE, JointType.CONTINUOUS, JointType.PRISMATIC)
     free = [o.name for o in scene.objects if not o.fixed]
     return free + [f"{o.name}.{j.name}" for o in scene.objects for j in o.joints if j.type in one]
@@ -317,7 +320,7 @@ def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
     places = {}
     for item in scene.objects:
         if not item.fixed:
-            # A ball has no up side, so it may have rolled in place.
+            # A ball looks the same from all sides, so its rotation is ignored.
             ball = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
             pose = end.poses[item.name]
             places[item.name] = _Place(pose[:3], None if ball else pose[3:])
@@ -331,5 +334,5 @@ def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
 
 
 def _medoid(places: Sequence[_Place]) -> _Place:
-    """Return the place with the smallest total distance to all others."""
+    """Return the place with the smallest total distance to all other places."""
     return min(places, key=lambda p: sum(sum(p.apart(other)) for other in places))

@@ -1,4 +1,4 @@
-"""Text output of the results: tables of read-backs and of behaviors by engine, and details of every failure."""
+"""Text output of the results: tables of read-backs and behaviors by engine, and details of every failure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult, R
 
 ABSENT = "not installed"
 SHOWN = 12
-"""Maximum number of differences printed per scene and engine; the JSON output has all."""
+"""Maximum number of differences printed per scene and engine; the JSON output contains all of them."""
 
 
 def reading_cell(reading: ReadbackResult) -> str:
@@ -39,7 +39,7 @@ def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, Ins
 
 
 def measured_cell(measured: BehaviorResult) -> str:
-    """Return the value, marked if its deviation is known or if it is wrong."""
+    """Return the measured value, marked if it has a known deviation or is incorrect."""
     if measured.value is None:
         return "failed"
     marks = {ProofStatus.OK: "", ProofStatus.KNOWN: " *", ProofStatus.MISMATCH: " (!)"}
@@ -60,7 +60,7 @@ def behaviors_table(
 
 
 def rested_cell(rested: RestResult) -> str:
-    """Return the distance of an engine's resting state from the others."""
+    """Return the deviation of an engine's resting state from the other engines."""
     if rested.verdict is ProofStatus.FAILED:
         return "failed"
     return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is ProofStatus.MISMATCH else "")
@@ -77,7 +77,7 @@ def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEn
 def details(
     readings: Iterable[ReadbackResult], results: Iterable[BehaviorResult], rested: Iterable[RestResult] = ()
 ) -> list[str]:
-    """Return a line for every failure and every known deviation of an engine."""
+    """Return a line for every failure and every unexplained difference."""
     lines: list[str] = []
     for reading in readings:
         where = f"{reading.subject} in {reading.engine}"
@@ -92,18 +92,18 @@ def details(
         if m.verdict is ProofStatus.FAILED:
             lines.append(f"{m.behavior} in {m.engine}: {m.error}")
         elif m.verdict is ProofStatus.MISMATCH:
-            lines.append(f"{m.behavior} in {m.engine}: {m.value:.5g} is outside of the tolerance")
+            lines.append(f"{m.behavior} in {m.engine}: {m.value:.5g} is outside the tolerance")
     for r in rested:
         if r.verdict is ProofStatus.FAILED:
             lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
         elif r.verdict is ProofStatus.MISMATCH:
-            away = f"{r.mm:.2f} mm and {r.deg:.2f} deg from where other engines leave it"
+            away = f"{r.mm:.2f} mm and {r.deg:.2f} deg away from its state in the other engines"
             lines.append(f"{r.subject} left alone in {r.engine}: {r.worst} ends {away}")
     return lines
 
 
 def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviorResult]) -> list[str]:
-    """Return the known losses of the engines, each reason once with its number of occurrences."""
+    """Return the known losses of the engines, listing each reason once with its number of occurrences."""
     counts: dict[str, int] = {}
     for reading in readings:
         for d in reading.comparison.covered if reading.comparison else ():
@@ -114,22 +114,22 @@ def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviorRe
 
 
 def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:
-    """Return the losses that a report states although the engine preserves the quantity."""
+    """Return the losses that are reported although the engine preserves the quantity."""
     return [
-        f"{r.subject} in {r.engine}: the loss report names {path}, but the engine holds it exactly"
+        f"{r.subject} in {r.engine}: the loss report lists {path}, but the engine preserves it exactly"
         for r in readings
         for path in (r.comparison.stale if r.comparison else ())
     ]
 
 
 def difference_line(d: Difference) -> str:
-    """Return object, quantity, expected value, actual value and relative error as text."""
+    """Format a difference as text, with the object, quantity, expected value, actual value and relative error."""
     error = f" (off by {d.error:.2g})" if d.error not in (float("inf"),) and d.error == d.error else ""
     return f"{d.name}: {d.quantity}: expected {value_text(d.expected)}, got {value_text(d.got)}{error}"
 
 
 def value_text(value: object) -> str:
-    """Format a value for display: six digits, ``none`` for None."""
+    """Format a value for display with six digits, or as ``none`` for None."""
     if value is None:
         return "none"
     if isinstance(value, list | tuple):
@@ -139,7 +139,7 @@ def value_text(value: object) -> str:
 
 def absent_line(engine: VerifyEngine) -> str:
     """Return the line that explains how to install an engine that was not found."""
-    return f"{engine.name}: {ABSENT}: {engine.spec.install}, or name its interpreter: --python {engine.family}=PATH"
+    return f"{engine.name}: {ABSENT}: {engine.spec.install}, or specify its interpreter: --python {engine.family}=PATH"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:
@@ -152,14 +152,14 @@ def _aligned(rows: Sequence[Sequence[str]]) -> str:
 
 
 WIDTH, HEIGHT = 480, 300
-"""Size of an image [px]: two columns of a report on a laptop."""
+"""Image size [px], such that two images fit side by side in a report on a laptop screen."""
 
 _FIELD_DEG = 40.0
-"""Vertical field of view, narrow enough to show objects without distortion."""
+"""Vertical field of view, which is narrow enough to show objects without distortion."""
 
 
 def picture(scene: Scene) -> bytes:
-    """Return a PNG of the scene: its first camera scaled down, or a view from a corner above all movable objects."""
+    """Return a PNG of the scene from its first camera, scaled down, or else from a corner above all movable objects."""
     from simfoundry.render.gl import choose_engine
     from simfoundry.render.montage import png_bytes
     from simfoundry.worlds.render import render
@@ -168,7 +168,7 @@ def picture(scene: Scene) -> bytes:
 
 
 def overview(scene: Scene) -> Camera:
-    """Return a camera that sees all movable objects, or all objects if none can move."""
+    """Return a camera that sees all movable objects, or all objects if none of them can move."""
     free = [o for o in scene.objects if not o.fixed] or list(scene.objects)
     corners = [np.stack(world_bounds(o, o.X_WO)) for o in free]
     low = np.min([c[0] for c in corners], axis=0) if corners else np.zeros(3)

@@ -1,4 +1,4 @@
-"""Simulators that hold a scene, behind a common protocol."""
+"""Worlds, which are simulators that run a scene behind a common protocol."""
 
 from importlib import import_module
 
@@ -9,18 +9,20 @@ from simfoundry.worlds.base import Contact, World
 
 
 class UnknownWorldError(SimfoundryError):
-    """An unknown simulator name; the message lists the valid names."""
+    """Raised for an unknown simulator name; the message lists the valid names."""
 
 
 def world_names() -> tuple[str, ...]:
-    """Return the simulators in which scenes can be run: the targets whose profile names a ``world``."""
+    """Return the names of the simulators that can run scenes: all targets whose profile specifies a ``world``."""
     return tuple(name for name in target_names() if find_target(name).profile.world is not None)
 
 
 def open_world(scene: Scene, engine: str) -> World:
     """Open ``scene`` in the simulator called ``engine``.
 
-    Raises :class:`UnknownWorldError`, or :class:`MissingEngineError`, which explains how to install it.
+    Raises:
+        UnknownWorldError: If no simulator has this name.
+        MissingEngineError: If the simulator is not installed; the message explains how to install it.
     """
     module, _, name = find_world(engine).partition(":")
     opened: World = getattr(import_module(module), name)(scene)
@@ -28,10 +30,10 @@ def open_world(scene: Scene, engine: str) -> World:
 
 
 def find_world(engine: str) -> str:
-    """Return the class of the simulator called ``engine``; raise :class:`UnknownWorldError` for any other name."""
+    """Return the world class of the simulator called ``engine``; raise :class:`UnknownWorldError` if it is unknown."""
     world = find_target(engine).profile.world if engine in target_names() else None
     if world is None:
-        raise UnknownWorldError(f"scenes cannot be run in `{engine}`; the simulators are: {', '.join(world_names())}")
+        raise UnknownWorldError(f"scenes cannot be run in `{engine}`; available simulators: {', '.join(world_names())}")
     return world
 
 

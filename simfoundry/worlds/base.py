@@ -1,6 +1,6 @@
-"""The protocols of a world and its robots, which let predicates, tasks and checks run in any simulator.
+"""The protocols of a world and its robots, which allow predicates, tasks and checks to run in any simulator.
 
-Cameras are at their current poses, including those mounted on links, for images of any size.
+This module also provides cameras, including those mounted on links, at their current poses and for any image size.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class WorldRobot(Protocol):
-    """A robot in a world. Targets hold until they change; the world's ``step`` advances the motion."""
+    """A robot in a world. Targets persist until they are changed; the world's ``step`` advances the motion."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -35,42 +35,44 @@ class WorldRobot(Protocol):
         """Return the positions of the arm's joints [rad or m]."""
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
+        """Return the position limits of the arm's joints [rad or m], which are infinite for joints without limits."""
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set target positions of arm joints [rad or m], within their limits; other joints keep their targets.
+        """Set the target positions of arm joints [rad or m], clipped to their limits; other joints keep their targets.
 
-        Raises a KeyError for a joint that the robot does not have.
+        Raises:
+            KeyError: If the robot has no such joint.
         """
 
     def gripper(self) -> float:
-        """Return the closed share of the gripper, from 0 (open) to 1 (closed); always 0 without a gripper."""
+        """Return how far the gripper is closed, from 0 (open) to 1 (closed); always 0 without a gripper."""
 
     def set_gripper(self, closed: float) -> None:
-        """Set the target of the gripper: 0 is open, 1 is closed; other values are clipped."""
+        """Set the gripper target, from 0 (open) to 1 (closed); other values are clipped."""
 
     def frame(self, name: str) -> Pose:
-        """Return the pose in the world of a frame, ``hand`` or ``base``, or of a link by the model's name."""
+        """Return the world pose of the frame ``hand`` or ``base``, or of a link given by its name in the model."""
 
 
 def unknown_joint(robot: str, joint: str, known: tuple[str, ...]) -> KeyError:
-    """Return the error for a joint that a robot does not have."""
-    return KeyError(f"robot {robot!r} has no joint {joint!r}; there are: {', '.join(known)}")
+    """Return the error for an unknown joint of a robot."""
+    return KeyError(f"robot {robot!r} has no joint {joint!r}; available joints: {', '.join(known)}")
 
 
 Image = NDArray[np.uint8]
-"""A color image: sRGB, shape (h, w, 3)."""
+"""An sRGB color image, shape (h, w, 3)."""
 
 CONTACT_GAP = 1e-3
-"""Maximum gap between surfaces in contact [m], for any contact margin of the engine."""
+"""Maximum gap between surfaces in contact [m], regardless of the engine's contact margin."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """One contact point between two objects.
+    """A contact point between two objects.
 
     ``depth`` [m] is positive for penetration and negative for a gap, which is at most :data:`CONTACT_GAP`. ``normal``
-    is the unit vector from ``a`` toward ``b`` and ``position`` [m] the contact point, both in the world, shape (3,).
+    is the unit vector from ``a`` toward ``b``, and ``position`` is the contact point [m]. Both are in the world frame
+    and have shape (3,).
     """
 
     a: str
@@ -81,7 +83,7 @@ class Contact:
 
 
 class BaseWorld(ABC):
-    """The part of a :class:`World` that is the same in every simulator."""
+    """A base class with the parts of a :class:`World` that are the same in every simulator."""
 
     scene: Scene
 
@@ -113,29 +115,32 @@ class BaseWorld(ABC):
 
 
 class World(Protocol):
-    """A simulator that holds one scene. Use it as a context manager, or call :meth:`close`."""
+    """A simulator that runs one scene. Use it as a context manager, or call :meth:`close` when done."""
 
     scene: Scene
 
     @property
     def timestep(self) -> float:
-        """Time step [s]."""
+        """The time step [s]."""
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Set ``state`` with zero velocities; without one, the state that the scene describes.
+        """Reset to ``state``, or to the scene's initial state, with zero velocities.
 
-        Values that ``state`` omits are those of the scene; its velocities are ignored. Robots hold their positions.
-        Raises a KeyError for names that are not in the scene.
+        Values that are missing from ``state`` are taken from the scene, and its velocities are ignored. Robots hold
+        their positions.
+
+        Raises:
+            KeyError: If ``state`` contains names that are not in the scene.
         """
 
     def step(self, n: int = 1) -> None:
         """Advance by ``n`` time steps."""
 
     def halt(self) -> None:
-        """Set all velocities to zero; poses and positions are unchanged."""
+        """Set all velocities to zero without changing poses or positions."""
 
     def state(self) -> SceneState:
-        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robot joints."""
 
     def judge(self, condition: Any) -> Verdict:
         """Evaluate a condition, such as ``"OnTop(cup, desk)"``, in the current state."""
@@ -144,18 +149,23 @@ class World(Protocol):
         """Return the current contacts between different objects and robots."""
 
     def robot(self, name: str) -> WorldRobot:
-        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
+        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render a camera of the scene, including robots: sRGB, uint8, shape (height, width, 3).
+        """Render the view from a camera in the scene, including robots, without changing the state.
 
-        The camera image is scaled uniformly and cropped about the center if the aspect ratio differs. The state is
-        unchanged. Raises a KeyError with the valid names for an unknown camera, and a RenderError if rendering is not
-        available.
+        The camera image is scaled uniformly, and cropped around its center if the aspect ratio differs.
+
+        Returns:
+            An sRGB image, uint8, shape (height, width, 3).
+
+        Raises:
+            KeyError: If the camera is unknown; the message lists the valid names.
+            RenderError: If rendering is not available.
         """
 
     def trouble(self) -> str:
-        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
+        """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""
 
     def close(self) -> None:
         """Release the simulator."""
@@ -168,9 +178,9 @@ class World(Protocol):
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
-    """Complete ``state`` with the scene's own values; raise a KeyError for names that the scene lacks.
+    """Complete ``state`` with the scene's own values; raise a KeyError for names that are not in the scene.
 
-    A mimic joint is at the position given by its leader, unless ``state`` contains it.
+    The position of a mimic joint is computed from its leader, unless ``state`` contains it.
     """
     initial = SceneState.initial(scene)
     if state is None:
@@ -190,7 +200,7 @@ def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
 
 
 def _led(owner: str, joint: Joint, by_name: Mapping[str, Joint], joints: Mapping[str, float]) -> float:
-    """Return the position [rad or m] of a mimic joint from that of the first leader in its chain."""
+    """Compute the position [rad or m] of a mimic joint from the position of the first leader in its chain."""
     if joint.mimic is None:
         return joints[f"{owner}.{joint.name}"]
     return joint.mimic.position(_led(owner, by_name[joint.mimic.joint], by_name, joints))
@@ -199,7 +209,7 @@ def _led(owner: str, joint: Joint, by_name: Mapping[str, Joint], joints: Mapping
 def _check_known(kind: str, given: Mapping[str, object], known: Mapping[str, object]) -> None:
     unknown = sorted(set(given) - set(known))
     if unknown:
-        raise KeyError(f"no {kind} {unknown[0]!r} in this scene; there are: {', '.join(known) or 'none'}")
+        raise KeyError(f"the scene has no {kind} {unknown[0]!r}; available names: {', '.join(known) or 'none'}")
 
 
 def camera_now(world: World, mounted: MountedCamera) -> Camera:
@@ -217,7 +227,11 @@ def camera_now(world: World, mounted: MountedCamera) -> Camera:
 
 
 def camera_of(world: World, name: str, width: int, height: int) -> Camera:
-    """Return the current camera ``name`` for another image size; raise a KeyError with the valid names if unknown."""
+    """Return the camera ``name`` at its current pose for the given image size.
+
+    Raises:
+        KeyError: If the camera is unknown; the message lists the valid names.
+    """
     for camera in world.scene.cameras:
         if camera.name == name:
             return resized(camera, width, height)
@@ -225,17 +239,17 @@ def camera_of(world: World, name: str, width: int, height: int) -> Camera:
         if mounted.camera.name == name:
             return resized(camera_now(world, mounted), width, height)
     known = [c.name for c in world.scene.cameras] + [m.camera.name for m in world.scene.mounted]
-    raise KeyError(f"no camera {name!r}; there are: {', '.join(known) or 'none'}")
+    raise KeyError(f"no camera {name!r}; available cameras: {', '.join(known) or 'none'}")
 
 
 def resized(camera: Camera, width: int, height: int) -> Camera:
     """Return the camera with ``width`` x ``height`` pixels, scaled uniformly and cropped if the aspect ratio differs.
 
-    The result equals the original image scaled to cover the new one and then cropped equally on both sides.
+    Its image equals the original image, scaled to cover the new size and then cropped equally on both sides.
     """
     scale = max(width / camera.width, height / camera.height)
     off_x, off_y = (camera.width * scale - width) / 2, (camera.height * scale - height) / 2
-    # Pixel centers have integer coordinates, so the image begins at -0.5.
+    # Pixel centers have integer coordinates, so the edge of the image is at -0.5.
     cx, cy = (camera.cx + 0.5) * scale - 0.5 - off_x, (camera.cy + 0.5) * scale - 0.5 - off_y
     return replace(camera, width=width, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
 

@@ -1,4 +1,4 @@
-"""Inventory of the installed components, their purposes, and the commands that install missing ones."""
+"""An inventory of the installed components, their purposes, and the commands that install missing components."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ PYBULLET_REMEDY = (
     f"{install_line('pybullet')} (wheels exist for Linux up to Python 3.11; elsewhere pip compiles it, which takes "
     "several minutes and requires a C++ compiler)"
 )
-GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then, pictures are ray-cast"
+GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then, images are ray-cast"
 
 
 SECTIONS = ("packages", "extras", "robots", "renderers", "models")
-"""The sections of the inventory, in order."""
+"""The sections of the inventory in display order."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One component that the project can use. ``version`` is the installed version, or empty if it is missing."""
+    """A component that the project can use; ``version`` is the installed version, or empty if it is missing."""
 
     section: str
     name: str
@@ -60,11 +60,11 @@ _PACKAGES = (
     ("usd-core", "pxr.Usd", "USD worlds"),
     ("mujoco", "mujoco", "MuJoCo worlds, settling, rendering"),
 )
-"""Distribution name, module name and purpose of each required package."""
+"""The distribution name, module name and purpose of each required package."""
 
 
 def examine() -> list[Part]:
-    """Return every component by section in a fixed order; nothing is downloaded and no model server is contacted."""
+    """Return all components by section in a fixed order, without downloading anything or contacting model servers."""
     return [*_packages(), *_extras(), *_robots(), *_renderers(), *_models()]
 
 
@@ -77,7 +77,7 @@ def _packages() -> Iterator[Part]:
 
 
 def _extras() -> Iterator[Part]:
-    """Yield the extras; packages that are slow to load are only located, not imported."""
+    """Yield the extras, locating packages that are slow to load without importing them."""
     for extra in EXTRAS.values():
         found, problem = "", ""
         if extra.name == "pybullet":
@@ -92,7 +92,7 @@ def _extras() -> Iterator[Part]:
 
 
 def _robots() -> Iterator[Part]:
-    """Yield the known robots, with the command that installs their models if they are missing."""
+    """Yield the known robots, with the command that installs missing models."""
     from simfoundry.scene.robot import lower_robot
     from simfoundry.scene.robot_files import NoModelError
     from simfoundry.spec.models.robot import RobotSpec
@@ -122,25 +122,28 @@ def _renderers() -> Iterator[Part]:
             else "not available on this system; the ray caster is used instead"
         )
         yield Part("renderers", name, "works" if name in drivers else "", False, "MuJoCo's renderer", remedy)
-    yield Part("renderers", "raycast", "built in", False, "pictures of scenes without a GL driver", "")
+    yield Part("renderers", "raycast", "built in", False, "images of scenes without a GL driver", "")
 
 
 def _models() -> Iterator[Part]:
-    """Yield the connections to foundation models that the user has configured; no server is contacted."""
+    """Yield the configured connections to foundation models, without contacting any server."""
     vlm = EXTRAS["vlm"]
     found = "" if vlm.missing else f"pydantic-ai {_version('pydantic-ai-slim')}"
     purpose = "proposes tasks and variants (`--vlm MODEL`, with the API key in the provider's variable)"
     yield Part("models", "vision-language", found, False, purpose, install_line("vlm"))
     for name, variable, purpose in (
-        ("images", IMAGES_URL, "draws variants of objects, for recipes that request it"),
-        ("meshes", MESHES_URL, "creates meshes from pictures, for recipes that request it"),
+        ("images", IMAGES_URL, "generates images of object variants, for recipes that request them"),
+        ("meshes", MESHES_URL, "generates meshes from images, for recipes that request them"),
     ):
         address = "set" if os.environ.get(variable) else ""
-        yield Part("models", name, address, False, purpose, f"export {variable}=http://…, the address of its server")
+        yield Part("models", name, address, False, purpose, f"export {variable}=http://… with its server address")
 
 
 def _found(name: str, module: str) -> tuple[str, str]:
-    """Return the version of an importable package; otherwise an empty version, and the error if it is installed."""
+    """Return the version of a package, and the error if it is installed but cannot be imported.
+
+    The version is empty if the package cannot be imported.
+    """
     from simfoundry.worlds.pybullet_world import quiet_native_output
 
     try:
@@ -153,7 +156,7 @@ def _found(name: str, module: str) -> tuple[str, str]:
 
 
 def _version(name: str) -> str:
-    """Return the version of an installed distribution; empty if its name differs, as for variants of OpenCV."""
+    """Return the version of an installed distribution, or nothing if its name differs, as for some OpenCV variants."""
     try:
         return version(name)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""A scene in MuJoCo."""
+"""The MuJoCo world."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 SMALL = 640
-"""Images with at most this many pixels per side are drawn in quick mode, because policies render thousands of them."""
+"""Maximum number of pixels per side of images rendered in quick mode, because policies render thousands of them."""
 
 
 class MujocoWorld(BaseWorld):
@@ -71,11 +71,11 @@ class MujocoWorld(BaseWorld):
 
     @property
     def timestep(self) -> float:
-        """Time step [s]."""
+        """The time step [s]."""
         return float(self.model.opt.timestep)
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Set ``state`` with zero velocities; without one, the state that the scene describes."""
+        """Reset to ``state``, or to the scene's initial state, with zero velocities."""
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
         self._mujoco.mj_resetDataKeyframe(self.model, self.data, self.model.key("initial").id)
@@ -100,7 +100,7 @@ class MujocoWorld(BaseWorld):
         self._mujoco.mj_forward(self.model, self.data)
 
     def _put_robot(self, name: str, positions: Mapping[str, float]) -> None:
-        """Set a robot's joint positions, with its servos holding them."""
+        """Set a robot's joint positions, and command its servos to hold them."""
         for row, at in zip(self._arms[name], self._arm_qpos[name], strict=True):
             if row.joint in positions:
                 self.data.qpos[at] = positions[row.joint]
@@ -117,11 +117,11 @@ class MujocoWorld(BaseWorld):
             self._mujoco.mj_step(self.model, self.data, nstep=n)
 
     def halt(self) -> None:
-        """Set all velocities to zero; poses and positions are unchanged."""
+        """Set all velocities to zero without changing poses or positions."""
         self.data.qvel[:] = 0.0
 
     def state(self) -> SceneState:
-        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robot joints."""
         poses = {item.name: self._object_pose(item) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -161,20 +161,21 @@ class MujocoWorld(BaseWorld):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render a camera of the scene: sRGB, uint8, shape (height, width, 3)."""
+        """Render the view from a camera in the scene as an sRGB image, uint8, shape (height, width, 3)."""
         view = camera_of(self, camera, width, height)
         renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
-        # After a step, MuJoCo's geom poses are those before the step.
+        # After a step, MuJoCo's geom poses are still those before the step.
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_comPos(self.model, self.data)
         self._mujoco.mj_camlight(self.model, self.data)
         return renderer.picture(self.data, view)
 
     def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
-        """Return the renderer for small images or the one for others; each grows to hold all sizes requested so far.
+        """Return the renderer for small or for large images, each of which supports all sizes requested so far.
 
-        Creating a renderer uploads every mesh and texture, which takes as long as tens of images. A new one must
-        therefore hold the previous sizes as well; otherwise two sizes would evict each other at every image.
+        Creating a renderer uploads all meshes and textures, which takes as long as rendering dozens of images. A new
+        renderer therefore also supports the previous sizes; otherwise, two alternating sizes would cause a new renderer
+        to be created for every image.
         """
         known = self._renderers.get(quick)
         if known is not None and known.holds(width, height):
@@ -190,7 +191,7 @@ class MujocoWorld(BaseWorld):
             self._renderers.popitem()[1].close()
 
     def trouble(self) -> str:
-        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
+        """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""
         warnings = self._mujoco.mjtWarning
         bad = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
         if any(self.data.warning[int(kind)].number for kind in bad):
@@ -198,11 +199,11 @@ class MujocoWorld(BaseWorld):
         return ""
 
     def robot(self, name: str) -> MujocoRobotHandle:
-        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
+        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
         return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
     def _object_pose(self, item: SceneObject) -> Pose:
-        # Computed from qpos instead of xpos, because after a step MuJoCo's body poses are those before it.
+        # Computed from qpos instead of xpos, because after a step, MuJoCo's body poses are still those before the step.
         if item.name in self._free:
             return self._free_pose(self._free[item.name])
         body = self._bodies[item.name]
@@ -212,12 +213,12 @@ class MujocoWorld(BaseWorld):
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Release the GL driver; MuJoCo frees its own memory with the object."""
+        """Release the GL renderers; MuJoCo's own memory is released with this object."""
         self._close_renderers()
 
 
 class _Moving:
-    """The velocity indices of a movable object: the first of six for each ``free`` body, and one per other joint."""
+    """The velocity indices of a movable object: the first of six for each ``free`` body, and those of other joints."""
 
     def __init__(self, model: mujoco.MjModel, item: SceneObject) -> None:
         self.name, self._reach = item.name, reach(item)
@@ -232,7 +233,7 @@ class _Moving:
                 (self._sliding if slides else self._turning).extend(range(dof, dof + (1 if joint.has_axis else 3)))
 
     def speed(self, qvel: Array) -> float:
-        """Return an upper bound on the speed of the object's fastest point [m/s]."""
+        """Return an upper bound on the speed [m/s] of the object's fastest point."""
         fastest = 0.0
         for start in self._free:
             x, y, z, a, b, c = qvel[start : start + 6].tolist()
@@ -250,7 +251,7 @@ class MujocoRobotHandle:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, robot: Robot) -> None:
         native = mujoco_model(robot)
         if native is None:
-            raise KeyError(f"robot {robot.name!r} has no model that MuJoCo can read")
+            raise KeyError(f"robot {robot.name!r} has no model in a format that MuJoCo supports")
         self._model, self._data, self._robot, self._native = model, data, robot, native
         self._joints = {name: model.joint(f"{robot.name}.{native.joints.get(name, name)}").id for name in self._names()}
         self._servos = {name: self._servo(joint) for name, joint in self._joints.items()}
@@ -263,7 +264,7 @@ class MujocoRobotHandle:
         return tuple(name.removeprefix(start) for name in every if name.startswith(start))
 
     def _servo(self, joint: int) -> int | None:
-        """Return the actuator of a joint."""
+        """Return the index of a joint's actuator, or None if it has no actuator."""
         import mujoco
 
         direct = int(mujoco.mjtTrn.mjTRN_JOINT)
@@ -285,7 +286,7 @@ class MujocoRobotHandle:
         return float(self._data.qpos[self._model.jnt_qposadr[joint]])
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
+        """Return the position limits of the arm's joints [rad or m], which are infinite for joints without limits."""
         found = {}
         for name, joint in self._joints.items():
             low, high = self._model.jnt_range[joint] if self._model.jnt_limited[joint] else (-np.inf, np.inf)
@@ -297,14 +298,14 @@ class MujocoRobotHandle:
         return self._servos[name] is not None
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set target positions of arm joints [rad or m]; raise a KeyError for a joint that the robot does not have."""
+        """Set the target positions of arm joints [rad or m]; raise a KeyError for an unknown joint."""
         for name, target in targets.items():
             if name not in self._servos:
                 raise unknown_joint(self._robot.name, name, self.joints)
             servo = self._servos[name]
             if servo is None:
                 raise KeyError(f"joint {name!r} of robot {self._robot.name!r} has no actuator")
-            # A servo with gain k applies the force k * ctrl + bias[1] * position; it rests where the two terms cancel.
+            # A servo with gain k applies the force k * ctrl + bias[1] * position and rests where the two terms cancel.
             gain, spring = self._model.actuator_gainprm[servo][0], self._model.actuator_biasprm[servo][1]
             self._command(servo, target * -spring / gain)
 
@@ -314,7 +315,7 @@ class MujocoRobotHandle:
         self._data.ctrl[servo] = value
 
     def gripper(self) -> float:
-        """Return the closed share of the gripper, from 0 (open) to 1 (closed)."""
+        """Return how far the gripper is closed, from 0 (open) to 1 (closed)."""
         gripper = self._native.gripper
         if gripper is None:
             return 0.0
@@ -322,7 +323,7 @@ class MujocoRobotHandle:
         return gripper.closed(self._position(first))
 
     def set_gripper(self, closed: float) -> None:
-        """Set the target of the gripper: 0 is open, 1 is closed."""
+        """Set the gripper target, from 0 (open) to 1 (closed)."""
         gripper = self._native.gripper
         if gripper is None:
             return
@@ -334,7 +335,7 @@ class MujocoRobotHandle:
             self._command(self._model.actuator(f"{self._robot.name}.{name}").id, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:
-        """Return the pose in the world of a frame, or of a link by the model's name."""
+        """Return the world pose of a frame, or of a link given by its name in the model."""
         import mujoco
 
         mujoco.mj_kinematics(self._model, self._data)

@@ -1,4 +1,4 @@
-"""A scene in PyBullet, without a window."""
+"""The PyBullet world, which runs without a window."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, urdf_rows
 
 BASE = -1
-"""PyBullet's index of the root link; any other link has the index of its parent joint."""
+"""PyBullet's index for the root link; any other link has the index of its parent joint."""
 
 
 class PybulletWorld(BaseWorld):
-    """A :class:`~simfoundry.worlds.World` for PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
+    """A :class:`~simfoundry.worlds.World` for PyBullet; ``client`` and ``bodies`` are PyBullet's ids.
 
-    The world is created from a build by the same ``load.py`` that users get.
+    The world is created from a build, using the same ``load.py`` that is provided to users.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -78,7 +78,7 @@ class PybulletWorld(BaseWorld):
         inertial = {name: self._call("getDynamicsInfo", body, BASE)[3:5] for name, body in self.bodies.items()}
         self._X_OI = {name: Pose.of(p, from_xyzw(q)) for name, (p, q) in inertial.items()}
         self._fresh: int = self._call("saveState")
-        """Bullet's saved state before the first step, including contacts and the solver's warm-start data."""
+        """Bullet's state as saved before the first step, including contacts and the solver's warm-start data."""
         self.reset()
 
     def _index_names(self, tree: Tree) -> None:
@@ -97,11 +97,11 @@ class PybulletWorld(BaseWorld):
 
     @property
     def timestep(self) -> float:
-        """Time step [s]."""
+        """The time step [s]."""
         return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
 
     def reset(self, state: SceneState | None = None) -> None:
-        """Set ``state`` with zero velocities; without one, the state that the scene describes."""
+        """Reset to ``state``, or to the scene's initial state, with zero velocities."""
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
         self._call("restoreState", self._fresh)
@@ -122,15 +122,15 @@ class PybulletWorld(BaseWorld):
             robot.reset(engine_positions(self._arms[name], full.robots.get(name, {})))
 
     def _put(self, name: str, pose: Pose) -> None:
-        """Set the world pose of a body's base, with zero velocities."""
+        """Set the world pose of a body's base, and set its velocity to zero."""
         X_WI = pose @ self._X_OI[name]
         self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
         self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
 
     def robot(self, name: str) -> WorldRobot:
-        """Return the robot called ``name``; raise a KeyError with the valid names if there is none."""
+        """Return the robot called ``name``; raise a KeyError that lists the valid names if it does not exist."""
         if name not in self._robots:
-            raise KeyError(f"no robot {name!r}; there are: {', '.join(self._robots) or 'none'}")
+            raise KeyError(f"no robot {name!r}; available robots: {', '.join(self._robots) or 'none'}")
         return self._robots[name]
 
     def step(self, n: int = 1) -> None:
@@ -141,7 +141,7 @@ class PybulletWorld(BaseWorld):
             self._call("stepSimulation")
 
     def halt(self) -> None:
-        """Set all velocities to zero; poses and positions are unchanged."""
+        """Set all velocities to zero without changing poses or positions."""
         for body in self.bodies.values():
             self._call("resetBaseVelocity", body, [0, 0, 0], [0, 0, 0])
         for name, at in self._joints.items():
@@ -153,7 +153,7 @@ class PybulletWorld(BaseWorld):
             robot.halt()
 
     def state(self) -> SceneState:
-        """Return the poses and speeds of all objects and the positions of all joints, including robots."""
+        """Return the poses and speeds of all objects and the positions of all joints, including robot joints."""
         poses = {item.name: self._base_pose(item.name) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -173,7 +173,7 @@ class PybulletWorld(BaseWorld):
         return SceneState.of(poses, joints, motions, robots, self._speeds())
 
     def _speeds(self) -> dict[str, float]:
-        """Return an upper bound on the speed of the fastest point of each movable object [m/s]."""
+        """Return an upper bound on the speed [m/s] of each movable object's fastest point."""
         speeds = dict.fromkeys(self._reach, 0.0)
         for name, tree in self._trees.items():
             if not tree.fixed:
@@ -206,7 +206,7 @@ class PybulletWorld(BaseWorld):
         return found
 
     def render(self, camera: str, width: int, height: int) -> Image:
-        """Render a camera of the scene with TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
+        """Render the view from a camera with TinyRenderer as an sRGB image, uint8, shape (height, width, 3)."""
         view = camera_arguments(camera_of(self, camera, width, height))
         matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
         lighting = lighting_arguments(self.scene.lights)
@@ -215,15 +215,15 @@ class PybulletWorld(BaseWorld):
         return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
 
     def trouble(self) -> str:
-        """Return the reason why the simulation since the last reset is invalid; empty if it is valid."""
+        """Return the reason why the simulation since the last reset is invalid, or an empty string if it is valid."""
         for name, body in self.bodies.items():
             p, q = self._call("getBasePositionAndOrientation", body)
             if not np.isfinite([*p, *q]).all():
-                return f"the simulation diverged: PyBullet has no finite pose of `{name}`"
+                return f"the simulation diverged: the pose of `{name}` in PyBullet is not finite"
         return ""
 
     def close(self) -> None:
-        """Disconnect; repeated calls have no effect."""
+        """Disconnect from PyBullet; repeated calls have no effect."""
         if self.client >= 0 and self._bullet.isConnected(self.client):
             self._bullet.disconnect(self.client)
         self.client = -1
@@ -231,7 +231,7 @@ class PybulletWorld(BaseWorld):
 
 @contextmanager
 def quiet_native_output() -> Iterator[None]:
-    """Discard the output of native code; PyBullet prints a greeting to stderr and warnings to stdout."""
+    """Discard the output of native code, because PyBullet prints a banner to stderr and warnings to stdout."""
     libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
     flush = (sys.stdout.flush, sys.stderr.flush, partial(libc.fflush, None))
     for each in flush:
@@ -243,7 +243,7 @@ def quiet_native_output() -> Iterator[None]:
         os.dup2(nowhere, 2)
         yield
     finally:
-        for each in flush:  # otherwise C's buffer would be printed later, to the restored streams
+        for each in flush:  # otherwise, C's buffers would be written to the restored streams later
             each()
         os.dup2(saved[0], 1)
         os.dup2(saved[1], 2)
@@ -252,11 +252,11 @@ def quiet_native_output() -> Iterator[None]:
 
 
 Call = Callable[..., Any]
-"""A PyBullet function called by name for one client, or a loader function that commands a motor."""
+"""A function that calls a PyBullet function by name for one client, or a loader function that commands a motor."""
 
 
 class PybulletRobotHandle:
-    """A :class:`~simfoundry.worlds.base.WorldRobot` for PyBullet; targets are those of its position motors.
+    """A :class:`~simfoundry.worlds.base.WorldRobot` for PyBullet, whose targets are set in its position motors.
 
     ``facts`` is the robot's entry in ``world.json``.
     """
@@ -286,12 +286,12 @@ class PybulletRobotHandle:
         return float(self._call("getJointState", self._body, self._index[joint])[0])
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """Return the position limits of the arm's joints [rad or m]; infinite if there are none."""
+        """Return the position limits of the arm's joints [rad or m], which are infinite for joints without limits."""
         found = {name: self._limits[joint] for name, joint in self._facts["arm"].items()}
         return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
-        """Set target positions of arm joints [rad or m]; raise a KeyError for a joint that the robot does not have."""
+        """Set the target positions of arm joints [rad or m]; raise a KeyError for an unknown joint."""
         for name, target in targets.items():
             if name not in self._facts["arm"]:
                 raise unknown_joint(self._name, name, self.joints)
@@ -305,29 +305,33 @@ class PybulletRobotHandle:
         self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
 
     def press(self) -> None:
-        """Limit the force of each gripper servo to that of its spring; call this before every step."""
+        """Limit the force of each gripper servo to that of a spring; call this before every step."""
         for joint in self._servos:
             self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
 
     def gripper(self) -> float:
-        """Return the closed share of the gripper, from 0 (open) to 1 (closed)."""
+        """Return how far the gripper is closed, from 0 (open) to 1 (closed)."""
         if not self._gripper.joints:
             return 0.0
         return self._gripper.closed(self._position(next(iter(self._gripper.joints))))
 
     def set_gripper(self, closed: float) -> None:
-        """Set the target of the gripper: 0 is open, 1 is closed."""
+        """Set the gripper target, from 0 (open) to 1 (closed)."""
         share = min(max(closed, 0.0), 1.0)
         for joint, (start, end) in self._gripper.joints.items():
             if joint in self._facts["motors"]:
                 self._drive(joint, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:
-        """Return the pose in the world of a frame, or of a link by model name; a KeyError lists the valid links."""
+        """Return the world pose of a frame, or of a link given by its name in the model.
+
+        Raises:
+            KeyError: If the link does not exist; the message lists the valid names.
+        """
         known = self._facts["frames"].get(name)
         link = known["link"] if known is not None else name
         if link not in self._links:
-            raise KeyError(f"robot {self._name!r} has no link {link!r}; there are: {', '.join(self._links)}")
+            raise KeyError(f"robot {self._name!r} has no link {link!r}; available links: {', '.join(self._links)}")
         X_LF = Pose.of(known["p"], known["q_wxyz"]) if known is not None else Pose.of()
         return self._link_pose(self._links[link]) @ X_LF
 
@@ -352,7 +356,7 @@ class PybulletRobotHandle:
         return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
 
     def reset(self, positions: Mapping[str, float] | None = None) -> None:
-        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by the model's names, at rest.
+        """Reset to the scene's joint positions, or to ``positions`` [rad or m] by the model's names, at zero velocity.
 
         The motors hold these positions, and mimic joints are set from their leaders.
         """

@@ -1,4 +1,4 @@
-"""Images of a scene, by MuJoCo's renderer if a GL driver is available, otherwise by the ray caster."""
+"""Rendering of scene images with MuJoCo's renderer if a GL driver is available, or else with the ray caster."""
 
 from __future__ import annotations
 
@@ -22,11 +22,16 @@ _LOG = logging.getLogger(__name__)
 
 
 def render(scene: Scene, camera: Camera, state: SceneState | None = None, engine: Engine | str = Engine.AUTO) -> Image:
-    """Render ``scene`` in ``state`` (by default the state it describes) with ``camera``: sRGB, uint8, (h, w, 3).
+    """Render ``scene`` in ``state``, or in its initial state by default, with ``camera``.
 
-    All engines use exact intrinsics, including the principal point and fx != fy. The engine chosen for ``auto`` is
-    logged and is the one that :func:`choose_engine` returns. Raises :class:`RenderError` for an engine that does not
-    work here.
+    All engines use exact intrinsics, including the principal point and fx != fy. For ``auto``, :func:`choose_engine`
+    selects the engine, which is logged.
+
+    Returns:
+        An sRGB image, uint8, shape (h, w, 3).
+
+    Raises:
+        RenderError: If the engine does not work on this system.
     """
     chosen = choose_engine(engine)
     _LOG.info("drawing %s/%s with %s", scene.name, camera.name, chosen)

@@ -1,4 +1,4 @@
-"""Rest and stability: run a world until nothing moves, or for a few seconds, and measure the motion of each object."""
+"""Rest and stability: simulation until nothing moves, or for a few seconds, and measurement of each object's motion."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Contact, World
 
 UPWARD = 0.5
-"""Minimum upward component of the normal of a contact that supports an object."""
+"""Minimum upward component of the contact normal for a contact that supports an object."""
 
 STEEP = 0.02
-"""Minimum upward component if no contact is steeper than that: an object held between the walls of a container."""
+"""Minimum upward component for an object without such a contact, for example one held between a container's walls."""
 
 NUDGE_DEG = 0.5
-"""Tilt for the stability test [deg]: less than the slope of any shelf or hand-set table."""
+"""Tilt for the stability test [deg], which is at most the slope of real shelves and tables."""
 
 NUDGE_S = 1.5
-"""Time for a nudged object to fall [s]: more than a pencil balanced on its tip needs."""
+"""Time for a nudged object to fall [s], which is longer than a pencil balanced on its tip needs."""
 
 TOPPLED = 0.1
-"""Fraction of its height above the lowest point that the center of mass of a toppling object loses."""
+"""Fraction of its height above the object's lowest point by which a center of mass must drop to count as toppling."""
 
 FOOT = 0.001
-"""Contacts within this horizontal distance of the center of mass [m] do not stabilize an object."""
+"""Horizontal distance from the center of mass [m] within which contacts do not stabilize an object."""
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
-    """Return the objects that support ``name``: those below it with contact normals whose z is at least ``upward``."""
+    """Return the objects that support ``name`` from below, with contact normals whose z is at least ``upward``."""
     below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
     below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
     return tuple(sorted(below))
 
 
 def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
-    """Return the center of mass in the world [m], shape (3,), with the joint positions of the scene."""
+    """Return an object's center of mass in the world [m], shape (3,), at the scene's joint positions."""
     poses = link_poses(item)
     masses = np.array([link.mass for link in item.links])
     centers = np.array([poses[link.name].apply(link.com) for link in item.links])
@@ -51,7 +51,7 @@ def center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Return true if the contacts from below surround the center of mass."""
+    """Return true if the contacts from below surround the center of mass horizontally."""
     center = center_of_mass(item, X_WO)
     below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
     offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
@@ -63,7 +63,7 @@ def has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
 
 
 def topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Return true if an object falls over when released with a slight tilt about either axis; rolling is allowed."""
+    """Return true if an object falls over when released with a slight tilt about either axis, ignoring rolling."""
     X_WO = state.poses[item.name]
     low, high = world_bounds(item, X_WO)
     height = float(center_of_mass(item, X_WO)[2])
@@ -82,7 +82,7 @@ def topples(world: World, state: SceneState, item: SceneObject) -> bool:
 
 
 def ball_radius(item: SceneObject) -> float | None:
-    """Return the radius [m] of an object that is a single sphere at its frame; None for any other object."""
+    """Return the radius [m] of an object that is a single sphere at its frame, or None for any other object."""
     parts = [c for link in item.links for c in link.colliders]
     if len(parts) != 1 or not isinstance(parts[0].geometry, Sphere) or parts[0].X_LG.p.any():
         return None
@@ -90,25 +90,25 @@ def ball_radius(item: SceneObject) -> float | None:
 
 
 def is_ball(item: SceneObject) -> bool:
-    """Return true if an object is a single sphere at its frame, which has no up side."""
+    """Return true if an object is a single sphere at its frame, whose orientation does not matter."""
     return ball_radius(item) is not None
 
 
 MAX_MOVED = 0.01
-"""An object that moves farther than this [m] is not stable."""
+"""Maximum displacement [m] of a stable object."""
 
 MAX_TURNED_DEG = 5.0
-"""An object that rotates by more than this [deg] is not stable; 5 degrees move the rim of a mug by about MAX_MOVED."""
+"""Maximum rotation [deg] of a stable object; 5 degrees move the rim of a mug by about MAX_MOVED."""
 
 
 STILL_M, STILL_RAD = 1e-4, 1e-3
-"""An object that moves [m] and rotates [rad] at most this much over a window is at rest: bodies that engines hold up by
-soft contacts creep by hundredths of a millimeter.
+"""Maximum displacement [m] and rotation [rad] over a window for an object at rest, because bodies on soft contacts
+creep by hundredths of a millimeter.
 """
 
 
 def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:
-    """Return the objects that moved, rotated, or moved a joint between two states; a ball may rotate in place."""
+    """Return the objects that moved, rotated, or moved a joint between two states, ignoring balls rotating in place."""
     moving = set()
     for name, start in before.poses.items():
         end = after.poses[name]
@@ -132,11 +132,18 @@ def run_to_rest(
     watch: Callable[[float, set[str]], object] = lambda elapsed, moving: None,
     halt_s: float | None = None,
 ) -> set[str]:
-    """Simulate until nothing moves over a window; return the objects that still move after ``most_s``.
+    """Simulate until nothing moves over a window, and return the objects that still move at the end.
 
-    The objects that ``ignored`` returns for a state may move. ``watch`` receives the elapsed time [s] and the moving
-    objects after each window, and ends the run if it returns true. With ``halt_s``, all velocities are set to zero
-    every ``halt_s``, at least one step apart: falls are then slow, and rolling stops.
+    Args:
+        world: The world to simulate.
+        window_s: The window over which motion is measured [s].
+        least_s: The minimum simulated time [s].
+        most_s: The maximum simulated time [s].
+        ignored: A function that returns the objects in a state that are allowed to move.
+        watch: A function that is called with the elapsed time [s] and the moving objects after each window. It ends the
+            run by returning true.
+        halt_s: An optional interval [s], of at least one step, at which all velocities are set to zero. This slows down
+            falls and stops rolling.
     """
     steps = max(1, round((window_s if halt_s is None else halt_s) / world.timestep))
     repeats = max(1, round(window_s / (steps * world.timestep)))
@@ -156,16 +163,16 @@ def run_to_rest(
 
 
 def tilt_deg(before: Pose, after: Pose) -> float:
-    """Angle between the vertical and the axis of the body that pointed up before [deg]."""
+    """Return the angle [deg] between the vertical and the body axis that was vertical before."""
     up = before.rotation[2]
     return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))
 
 
 def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
-    """Return true if a ball released at rest moved at most its diameter, as in a bowl that confines it.
+    """Return true if a ball released at rest moved by at most its diameter, as if confined by a bowl.
 
-    Without rolling resistance, a ball in a bowl keeps moving, driven by a height difference of only 0.1 mm. On an open
-    slope of just 0.1 degrees it rolls several times as far.
+    Without rolling resistance, a height difference of only 0.1 mm keeps a ball in a bowl moving. On an open slope of
+    just 0.1 degrees, it rolls several times as far.
     """
     radius = ball_radius(item)
     return radius is not None and float(np.linalg.norm(after.p - before.p)) <= 2 * radius
@@ -173,7 +180,7 @@ def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
 
 @dataclass(frozen=True)
 class ObjectMotion:
-    """The motion of an object from its start: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
+    """The motion of an object from its initial pose: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
 
     name: str
     moved: float
@@ -181,12 +188,12 @@ class ObjectMotion:
 
     @property
     def stays(self) -> bool:
-        """True if the motion is within the expected difference between two simulators."""
+        """True if the motion is no larger than the expected difference between two simulators."""
         return self.moved <= MAX_MOVED and self.turned_deg <= MAX_TURNED_DEG
 
 
 def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None) -> list[ObjectMotion]:
-    """Simulate a world from ``state``, by default the scene's, and return the motion of every free object."""
+    """Simulate a world from ``state``, or from its initial state, and return the motion of every free object."""
     world.reset(state)
     before = world.state()
     world.step(round(seconds / world.timestep))

@@ -1,4 +1,4 @@
-"""Joint positions of robots in a state, which are those of the canonical model, not of the engine's model."""
+"""Robot joint positions in a state, which refer to the canonical model instead of the engine's model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from simfoundry.scene.state import SceneState
 
 
 class Row(NamedTuple):
-    """A relation: ``joint`` of the canonical model is ``scale`` times the engine's joint ``other`` plus ``offset``."""
+    """A linear relation: canonical ``joint`` = ``scale`` * engine joint ``other`` + ``offset`` [rad or m]."""
 
     joint: str
     other: str
@@ -25,7 +25,7 @@ Rows = tuple[Row, ...]
 
 
 def mjcf_rows(robot: Robot) -> Rows:
-    """Return the rows for MuJoCo's model, which is the canonical one; empty if no predicate supports the robot."""
+    """Return the rows for MuJoCo's model, which is the canonical one; empty if predicates do not support the robot."""
     native = mujoco_model(robot)
     return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
 
@@ -33,14 +33,14 @@ def mjcf_rows(robot: Robot) -> Rows:
 def urdf_rows(robot: Robot, moving: Iterable[str]) -> Rows:
     """Return the rows for PyBullet's URDF, whose movable joints are ``moving``.
 
-    If the robot has both an MJCF and its own URDF, their arm joints are paired in order, and their gripper joints by
-    the closed share.
+    If the robot has both an MJCF and its own URDF, their arm joints are matched in order, and their gripper joints by
+    how far they are closed.
     """
     native, urdf = mujoco_model(robot), robot.best(ModelFormat.URDF)
     if native is None:
         return ()
     names = _names(robot, native)
-    if urdf is None:  # a converted URDF has the canonical names
+    if urdf is None:  # a converted URDF uses the canonical names
         return tuple(Row(name, name) for name in names.values() if name in set(moving))
     if urdf is native:
         return tuple(Row(joint, other) for other, joint in names.items() if other in set(moving))
@@ -58,7 +58,7 @@ def _names(robot: Robot, native: NativeModel) -> dict[str, str]:
 
 
 def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Row]:
-    """Yield the rows of the gripper joints: pairwise, or all from the first joint of the other model."""
+    """Yield the rows of the gripper joints, either pairwise or all from the other model's first joint."""
     theirs = list(other.joints.items())
     if len(theirs) != len(own.joints):
         theirs = theirs[:1] * len(own.joints)
@@ -74,12 +74,12 @@ def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Ro
 
 
 def positions_of(rows: Rows, at: Mapping[str, float]) -> dict[str, float]:
-    """Return canonical positions [rad or m] from those of the engine's joints."""
+    """Convert the engine's joint positions to canonical positions [rad or m]."""
     return {row.joint: row.scale * at[row.other] + row.offset for row in rows}
 
 
 def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, float]:
-    """Return engine joint positions [rad or m] from canonical ones; if a joint has two rows, the first one counts."""
+    """Convert canonical joint positions to engine positions [rad or m], using the first row if a joint has several."""
     found: dict[str, float] = {}
     for row in rows:
         if row.joint in canonical:
@@ -88,10 +88,10 @@ def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, fl
 
 
 def check_robots(scene: Scene, rows: Mapping[str, Rows], state: SceneState | None) -> None:
-    """Raise a KeyError if a state names a robot or joint that the scene does not have."""
+    """Raise a KeyError if a state contains a robot or a robot joint that is not in the scene."""
     for name, joints in state.robots.items() if state is not None else ():
         scene.robot(name)
         known = [row.joint for row in rows.get(name, ())]
         unknown = sorted(set(joints) - set(known))
         if unknown and known:
-            raise KeyError(f"no joint {unknown[0]!r} in robot {name!r}; there are: {', '.join(known)}")
+            raise KeyError(f"robot {name!r} has no joint {unknown[0]!r}; available joints: {', '.join(known)}")

@@ -1,11 +1,13 @@
-"""Settling: from fitted poses, which overlap and float slightly, to poses at rest.
+"""Settling, which moves objects from fitted poses, which overlap or float slightly, to poses at rest.
 
-The first phase follows the paper ("Object Depenetration and Physical Stability"): physics steps with all velocities set
-to zero after each one, until the poses are stationary, so that overlaps separate without explosions. The second phase
-runs normal dynamics until everything is at rest, because a body that topples slowly appears still in the first phase.
-If that does not end because an object rolls away or falls off an edge, settling is repeated from the same poses with
-the motion removed at intervals, so that an object that cannot stand as fitted falls over and stays in place. Objects
-that stand on too small a base are then nudged, because a simulator can balance a pencil on its tip forever.
+The first phase follows the paper ("Object Depenetration and Physical Stability"): the simulation runs with all
+velocities set to zero after each step until the poses are stationary, which separates overlapping objects without
+explosions. The second phase runs normal dynamics until everything is at rest, because a body that topples slowly
+appears to be still in the first phase.
+
+If the second phase does not end because an object rolls away or falls off an edge, settling is repeated from the same
+poses with damped motion, so that an object that is unstable in its fitted pose falls over but stays in place. Finally,
+objects that rest on a very small base are nudged, because a simulator can balance a pencil on its tip forever.
 """
 
 from __future__ import annotations
@@ -37,16 +39,16 @@ from simfoundry.worlds.rest import (
 Progress = Callable[[str, float], None]
 
 FALLEN = 0.3
-"""An object this far [m] below the lowest point of the initial scene has fallen off it."""
+"""Distance [m] below the lowest point of the initial scene at which an object counts as fallen off."""
 
 
 @dataclass(frozen=True)
 class SettleOptions:
-    """Settings for the end of each phase and for the evaluation.
+    """Settings for the end of each phase and for the evaluation of the result.
 
-    The quasi-static phase ends when all objects are at rest over ``window_s`` (see :func:`restless`), the dynamic phase
-    when they are over ``rest_s``. Both are limited by their ``max``. If the motion is damped, velocities are set to
-    zero every ``damped_s``.
+    The quasi-static phase ends when all objects are at rest over ``window_s`` (see :func:`restless`), and the dynamic
+    phase ends when they are at rest over ``rest_s``. Each phase has a maximum duration. If the motion is damped,
+    velocities are set to zero every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -65,10 +67,10 @@ class SettleOptions:
 class ObjectSettle:
     """The effect of settling on one object.
 
-    ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is the distance from
-    its fitted pose, ``tilt_deg`` the change of its up axis, and ``turn_deg`` its total rotation. ``supports`` names the
-    objects that support it; ``support_kept`` is False if an ``OnTop`` of the scene no longer holds. An object that fell
-    off the scene keeps its fitted pose.
+    ``penetration_before`` and ``penetration_after`` are the depths [m] of its deepest contacts, ``drift`` is the
+    distance [m] from its fitted pose, ``tilt_deg`` is the change in its up axis, and ``turn_deg`` is its total
+    rotation. ``supports`` names the objects that support it; ``support_kept`` is False if an ``OnTop`` relation in the
+    scene is no longer true. An object that fell off the scene keeps its fitted pose.
     """
 
     name: str
@@ -83,13 +85,13 @@ class ObjectSettle:
 
     @property
     def passed(self) -> bool:
-        """True if the object has no problems."""
+        """True if settling the object caused no problems."""
         return not self.problems
 
 
 @dataclass(frozen=True, eq=False)
 class SettleResult:
-    """The poses at rest, the effect on each free object, and the objects that did not come to rest or fell off."""
+    """The poses at rest, the effect on each free object, and the objects that fell off or did not come to rest."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
@@ -102,11 +104,11 @@ class SettleResult:
 
     @property
     def passed(self) -> bool:
-        """True if every object came to rest and passed."""
+        """True if every object came to rest without problems."""
         return self.at_rest and all(o.passed for o in self.objects)
 
     def to_json(self) -> dict[str, Any]:
-        """Return a plain mapping for reports."""
+        """Return the result as plain data for reports."""
         objects = [{**asdict(o), "passed": o.passed} for o in self.objects]
         return {"passed": self.passed, "at_rest": self.at_rest, "objects": objects}
 
@@ -117,7 +119,7 @@ def settle(
     progress: Progress | None = None,
     state: SceneState | None = None,
 ) -> SettleResult:
-    """Settle a world's scene from ``state``, by default its own; the world is left in the settled state."""
+    """Settle a scene from ``state``, or from its initial state, and leave the world in the settled state."""
     options = options or SettleOptions()
     world.reset(state)
     before, contacts_before = world.state(), world.contacts()
@@ -156,7 +158,7 @@ def _run(
     world: World, progress: Progress | None, stage: str, window_s: float, least_s: float, most_s: float,
     halt_s: float | None = None,
 ) -> set[str]:  # fmt: skip
-    """Run a stage; return the objects that did not come to rest, except those that fell off the scene."""
+    """Run a phase and return the objects that did not come to rest, except those that fell off the scene."""
 
     def report(elapsed: float, _: set[str]) -> None:
         if progress is not None:
@@ -166,7 +168,7 @@ def _run(
 
 
 def _fallen(world: World, state: SceneState) -> set[str]:
-    """Return the objects that are below the initial scene."""
+    """Return the objects that have fallen below the initial scene."""
     scene = world.scene
     floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in scene.objects), default=0.0) - FALLEN
     return {o.name for o in scene.objects if not o.fixed and state.poses[o.name].p[2] < floor}
@@ -174,9 +176,9 @@ def _fallen(world: World, state: SceneState) -> set[str]:
 
 def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: set[str]) -> list[str]:
     if name in fallen:
-        return ["fell off the scene; it keeps its fitted pose"]
+        return ["fell off the scene and keeps its fitted pose"]
     if name in restless:
-        return ["never came to rest"]
+        return ["did not come to rest"]
     return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
@@ -190,7 +192,7 @@ def _report(
     options: SettleOptions,
     problems: list[str],
 ) -> ObjectSettle:
-    """Return the settling result of one object; ``problems`` lists those already known."""
+    """Return the settling result for one object; ``problems`` contains the problems found so far."""
     name = item.name
     start, end = before.poses[name], after.poses[name]
     drift = float(np.linalg.norm(end.p - start.p))
@@ -208,7 +210,7 @@ def _report(
     if not kept:
         problems.append(f"no longer on {', '.join(w for w in wanted if w not in carried_by)}")
     if not supporters(name, contacts_after, STEEP):
-        problems.append("rests on nothing")
+        problems.append("is not supported by anything")
     return ObjectSettle(
         name=name,
         penetration_before=_deepest(name, contacts_before),

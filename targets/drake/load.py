@@ -3,10 +3,10 @@
     diagram, plant, models = load()
     simulator = pydrake.systems.analysis.Simulator(diagram)
 
-Contact friction, gravity, armature and motors come from ``physics.json``, because URDF cannot represent them. Drake
-uses the harmonic mean of a pair's frictions, and has neither restitution nor Coulomb friction in joints.
+Contact friction, gravity, armature and motors are read from ``physics.json``, because URDF cannot represent them. Drake
+uses the harmonic mean of two frictions, and supports neither restitution nor Coulomb friction in joints.
 
-A motor is an actuator with a controller that Drake integrates implicitly. Its target is a source in the diagram:
+Each motor is an actuator with a controller that Drake integrates implicitly. Motor targets are set in the diagram:
 
     set_targets(diagram, plant, simulator.get_mutable_context(), models["arm"], {"joint1": 0.2})
 """
@@ -44,12 +44,12 @@ LEAST = 1e-9
 """Minimum stiffness of a controller [N/m or N m/rad]; Drake requires a positive value."""
 
 STILL = 1e-4
-"""Stiction threshold [m/s]: contacts below this speed stick."""
+"""Stiction threshold [m/s], below which contacts stick."""
 
 COMPLIANT = DefaultProximityProperties(
     compliance_type="compliant", hydroelastic_modulus=1e7, resolution_hint=0.01, hunt_crossley_dissipation=50.0
 )
-"""Hydroelastic contacts; with Drake's point contacts, a slab sinks into a table and a box holds on any slope."""
+"""Hydroelastic contacts. With Drake's point contacts, a slab sinks into a table and a box never slips on a slope."""
 
 
 def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, ModelInstanceIndex]]:
@@ -87,7 +87,7 @@ def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, Mo
 def set_targets(
     diagram: Diagram, plant: MultibodyPlant, context: Context, model: ModelInstanceIndex, targets: dict[str, float]
 ) -> None:
-    """Set targets of an object's or robot's motors [rad or m] by joint name; ``context`` is that of the diagram."""
+    """Set an object's or robot's motor targets [rad or m] by joint name, in the diagram's ``context``."""
     source = diagram.GetSubsystemByName(source_name(plant, model))
     value = source.get_mutable_source_value(source.GetMyMutableContextFromRoot(context))
     names = actuated(plant, model)
@@ -96,30 +96,30 @@ def set_targets(
 
 
 def source_name(plant: MultibodyPlant, model: ModelInstanceIndex) -> str:
-    """Return the name of the system that provides the motor targets of a model."""
+    """Return the name of the system that outputs the motor targets of a model."""
     return f"{plant.GetModelInstanceName(model)}_targets"
 
 
 def desired(plant: MultibodyPlant, model: ModelInstanceIndex, targets: dict[str, float]) -> np.ndarray:
-    """Return positions, then velocities, for all actuators of a model, including those without a controller."""
+    """Return the desired positions, then velocities, of all actuators in a model, even those without a controller."""
     names = actuated(plant, model)
     return np.array([targets.get(name, 0.0) for name in names] + [0.0] * len(names))
 
 
 def actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
-    """Return the names of the joints with an actuator, in Drake's order."""
+    """Return the names of the actuated joints in Drake's order."""
     return [plant.get_joint_actuator(k).joint().name() for k in plant.GetJointActuatorIndices(model)]
 
 
 def add_motor(plant: MultibodyPlant, joint: Joint, drive: dict[str, float]) -> None:
-    """Add a motor that pulls a joint to its target like a spring and damper, up to its force limit."""
+    """Add a motor that acts as a spring and damper toward the joint's target, up to its force limit."""
     actuator = actuator_of(plant, joint)
     actuator.set_effort_limit(drive.get("force_limit", np.inf))
     actuator.set_controller_gains(PdControllerGains(p=max(drive["stiffness"], LEAST), d=drive["damping"]))
 
 
 def actuator_of(plant: MultibodyPlant, joint: Joint) -> JointActuator:
-    """Return the actuator of a joint; add one if its URDF has none."""
+    """Return the actuator of a joint, adding one if its URDF has none."""
     for index in plant.GetJointActuatorIndices():
         actuator = plant.get_joint_actuator(index)
         if actuator.joint().index() == joint.index():
@@ -128,7 +128,7 @@ def actuator_of(plant: MultibodyPlant, joint: Joint) -> JointActuator:
 
 
 def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: str, law: dict[str, Any]) -> None:
-    """Make a joint follow another, unless its URDF already states this."""
+    """Make a joint follow another joint, unless its URDF already specifies this."""
     said = ET.parse(urdf).getroot().findall("joint")
     if not any(joint.get("name") == name and joint.find("mimic") is not None for joint in said):
         joint, leader = (plant.GetJointByName(n, model) for n in (name, law["joint"]))
@@ -136,7 +136,7 @@ def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: s
 
 
 def convex(urdf: Path, folder: Path) -> Path:
-    """Copy a URDF to ``folder`` with full paths and with its collision meshes declared convex, which they are."""
+    """Copy a URDF to ``folder`` with absolute paths, declaring its collision meshes convex, which they always are."""
     tree = ET.parse(urdf)
     for element in (*tree.getroot().iter("mesh"), *tree.getroot().iter("texture")):
         element.set("filename", str(urdf.parent / element.get("filename", "")))
@@ -151,11 +151,11 @@ def load_object(
 ) -> ModelInstanceIndex:
     """Load one object at its pose, with its friction, joint positions and collision filters.
 
-    A robot with its own URDF has no ``physics``; it keeps Drake's default surfaces, and its links do not collide with
-    each other.
+    ``physics`` is None for a robot with its own URDF, which keeps Drake's default surfaces and whose links do not
+    collide with each other.
     """
     parser = Parser(plant)
-    parser.SetAutoRenaming(True)  # two robots of the same model have the same name in their files
+    parser.SetAutoRenaming(True)  # robots of the same model have the same name in their files
     (model,) = parser.AddModels(str(urdf))
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(model)]
     X_WO = RigidTransform(Quaternion(np.array(item["q_wxyz"]) / np.linalg.norm(item["q_wxyz"])), item["p"])
@@ -174,7 +174,7 @@ def load_object(
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])
         armature = physics["joints"][name]["armature"] if physics else 0.0
-        if armature > 0:  # rotor inertia; here also for joints without a motor
+        if armature > 0:  # rotor inertia, including joints without a motor
             rotor = actuator_of(plant, joint)
             rotor.set_default_rotor_inertia(armature)
             rotor.set_default_gear_ratio(1.0)
@@ -182,7 +182,7 @@ def load_object(
 
 
 def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
-    """Exclude collisions between the links of each pair; each link is given with its model."""
+    """Exclude collisions between the links of each pair; a link is given by its model and name."""
     filtered = CollisionFilterDeclaration()
     for pair in pairs:
         bodies = (plant.GetBodyByName(link, model) for model, link in pair)
@@ -193,7 +193,7 @@ def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tup
 def set_friction(
     plant: MultibodyPlant, scene_graph: SceneGraph, geometries: list[Any], surfaces: dict[str, dict[str, float]]
 ) -> None:
-    """Set the friction coefficient of each collision shape, which Drake names ``object::name``."""
+    """Set the friction coefficients of the collision shapes, which Drake names ``object::name``."""
     inspector = scene_graph.model_inspector()
     for geometry in geometries:
         surface = surfaces[inspector.GetName(geometry).rpartition("::")[2]]

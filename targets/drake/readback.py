@@ -1,4 +1,4 @@
-"""Drake read-back of the urdf build, loaded by its ``load_drake.py``."""
+"""Drake read-back of a urdf build, which is loaded by its ``load_drake.py``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simfoundry.verify import readback as rb
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the diagram from the loader."""
+    """Return a session for the diagram that the loader creates."""
     return DrakeSession(*loader.load(rb.TIMESTEP))
 
 
@@ -34,7 +34,7 @@ class DrakeSession(rb.Session):
         self._bodies: dict[str, RigidBody] = {}
         self._joints: dict[str, Any] = {}
         for name, model in models.items():
-            owner = name.partition(".")[0]  # a freely moving part is a separate model, such as `pot.lid`
+            owner = name.partition(".")[0]  # freely moving parts, such as `pot.lid`, are separate models
             for k, index in enumerate(plant.GetBodyIndices(model)):
                 body = plant.get_body(index)
                 self._bodies[name if k == 0 else f"{owner}.{body.name()}"] = body
@@ -78,7 +78,7 @@ class DrakeSession(rb.Session):
                          rb.numbers(about_com), self._held(body), colliders)  # fmt: skip
 
     def _held(self, body: RigidBody) -> str:
-        """Return the parent of a body: its joint's parent, or free for a floating body."""
+        """Return the parent of a body, which is its joint's parent, or ``free`` for a floating body."""
         if body.is_floating():
             return rb.FREE
         for index in self.plant.GetJointIndices():
@@ -93,9 +93,9 @@ class DrakeSession(rb.Session):
         return scene_graph.model_inspector()
 
     def _joint(self, joint: Any) -> rb.JointReadback:
-        """Return the values of a joint; Drake has no Coulomb friction, and armature is the loader's rotor inertia.
+        """Return the values of a joint; Drake has no Coulomb friction, and the armature is the loader's rotor inertia.
 
-        The target is read where it reaches the plant, so that an unconnected port is detected.
+        The target is read at the plant's input, so that an unconnected port is detected.
         """
         kind = joint.type_name()
         low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())
@@ -120,7 +120,7 @@ class DrakeSession(rb.Session):
         )
 
     def _actuator(self, joint: Any) -> Any:
-        """Return the actuator of a joint; None if it has none."""
+        """Return the actuator of a joint, or None if the joint is not actuated."""
         for index in self.plant.GetJointActuatorIndices(joint.model_instance()):
             actuator = self.plant.get_joint_actuator(index)
             if actuator.joint().index() == joint.index():
@@ -128,7 +128,7 @@ class DrakeSession(rb.Session):
         return None
 
     def _target(self, actuator: Any) -> rb.Numbers:
-        """Return the target of a controller; empty if its port is not connected, which disables the controller."""
+        """Return a controller's target, or nothing if its port is not connected, which disables the controller."""
         model = actuator.model_instance()
         port = self.plant.get_desired_state_input_port(model)
         if not port.HasValue(self._context):

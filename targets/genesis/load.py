@@ -3,8 +3,8 @@
     scene, entities = load()
     scene.step()
 
-Poses, frictions, armatures, joint frictions and motors come from ``poses.json`` and ``physics.json``, because URDF
-cannot represent them. Genesis uses the larger friction of a pair. Set motor targets with
+Poses, frictions, armatures, joint frictions and motors are read from ``poses.json`` and ``physics.json``, because URDF
+cannot represent them. Genesis uses the larger friction of two surfaces. Set motor targets with
 ``entity.control_dofs_position``.
 """
 
@@ -23,19 +23,19 @@ TIMESTEP = 1 / 500
 """Time step [s]."""
 
 FAR = 1e9
-"""The force limit of an unlimited motor [N or N m]."""
+"""The force limit that represents an unlimited motor [N or N m]."""
 
 STIFF = (0.01, 1.0, 0.999, 0.999, 0.001, 0.5, 2.0)
-"""Stiffness of joint constraints as MuJoCo's solref and solimp; with Genesis' default, a drawer held by friction creeps
-at 5 mm/s."""
+"""Stiffness of joint constraints, in the form of MuJoCo's solref and solimp. With Genesis' default, a drawer held by
+friction creeps at 5 mm/s."""
 
 PAIRS = 4096
-"""Maximum number of candidate pairs of collision shapes; beyond Genesis' default of 150, objects fall through
-others."""
+"""Maximum number of candidate pairs of collision shapes. If Genesis' default of 150 is exceeded, objects fall through
+each other."""
 
 
 def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP) -> tuple[Any, dict[str, Any]]:
-    """Load every object, build the scene and set its initial state; call ``gs.init`` if necessary."""
+    """Load all objects, build the scene and set its initial state, after calling ``gs.init`` if necessary."""
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="warning")
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
@@ -43,7 +43,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
     scene = gs.Scene(
         sim_options=gs.options.SimOptions(dt=time_step, gravity=tuple(physics["gravity"])),
         rigid_options=gs.options.RigidOptions(
-            friction_cone=gs.friction_cone.elliptic,  # a pyramidal cone lets a box slip too early between its axes
+            friction_cone=gs.friction_cone.elliptic,  # with a pyramidal cone, boxes slip too early between its axes
             impratio=10.0,  # tangential stiffness that preserves Coulomb's law
             integrator=gs.integrator.implicitfast,
             max_collision_pairs=PAIRS,
@@ -68,7 +68,7 @@ def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP
 
 
 def add_object(scene: Any, item: dict[str, Any]) -> Any:
-    """Add one object at its pose; its meshes are already convex, and its links remain separate."""
+    """Add one object at its pose, without decomposing its meshes, which are already convex, or merging its links."""
     morph = gs.morphs.URDF(
         file=str(HERE / item["urdf"]),
         pos=tuple(item["p"]),
@@ -85,7 +85,7 @@ def add_object(scene: Any, item: dict[str, Any]) -> Any:
 
 
 def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
-    """Configure a motor that pulls a joint to its target like a spring and damper, up to its force limit."""
+    """Configure a motor that acts as a spring and damper toward the joint's target, up to its force limit."""
     dofs = entity.get_joint(joint).dofs_idx_local
     limit = drive.get("force_limit", FAR)
     entity.set_dofs_kp([drive["stiffness"]], dofs)
@@ -95,7 +95,7 @@ def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
 
 
 def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Set the friction of each collision shape; if Genesis has split a shape, all of its parts get the same value."""
+    """Set the friction of each collision shape, including all parts of a shape that Genesis has split."""
     for link in entity.links:
         surfaces = [surface["friction"] for surface in links[link.name].values()]
         if len(link.geoms) == len(surfaces):
@@ -106,7 +106,7 @@ def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> 
 
 
 def set_joints(entity: Any, positions: dict[str, float], values: dict[str, dict[str, float]]) -> None:
-    """Set position, Coulomb friction and armature of each joint."""
+    """Set the position, Coulomb friction and armature of each joint."""
     for name, position in positions.items():
         joint = entity.get_joint(name)
         dofs = joint.dofs_idx_local
@@ -122,7 +122,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Open the viewer and step; without a display, step for one second and print a summary."""
+    """Open the viewer and simulate; without a display, simulate for one second and print a summary."""
     scene, entities = load(show_viewer=has_display())
     steps = 0
     while steps < 500 or (has_display() and scene.viewer.is_alive()):

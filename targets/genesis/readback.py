@@ -1,4 +1,4 @@
-"""Genesis read-back of the urdf build, loaded by its ``load_genesis.py``."""
+"""Genesis read-back of a urdf build, which is loaded by its ``load_genesis.py``."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _TYPES = {gs.JOINT_TYPE.REVOLUTE: "revolute", gs.JOINT_TYPE.PRISMATIC: "prismati
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the scene from the loader."""
+    """Return a session for the scene that the loader creates."""
     scene, entities = loader.load(time_step=rb.TIMESTEP)
     return GenesisSession(scene, entities)
 
 
 class GenesisSession(rb.Session):
-    """A Genesis scene on the CPU with its entities."""
+    """A Genesis scene on the CPU, with its entities."""
 
     def __init__(self, scene: Any, entities: dict[str, Any]) -> None:
         self.scene, self.entities = scene, entities
@@ -84,7 +84,7 @@ def _position(entity: Any, joint: Any) -> float:
 
 
 def _joint(entity: Any, joint: Any) -> rb.JointReadback:
-    """Return the values of a joint; a motor is reported only if it has a position target; all joints have gains."""
+    """Return the values of a joint; all joints have gains, so a motor is reported only if it has a position target."""
     dofs = joint.dofs_idx_local
     low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
     one = {
@@ -111,7 +111,7 @@ def _joint(entity: Any, joint: Any) -> rb.JointReadback:
 
 
 def _collider(geom: Any) -> rb.ColliderReadback:
-    """Return a collision shape; Genesis stores no names, and converts unsupported shapes to meshes."""
+    """Return a collision shape; Genesis does not store names, and it converts unsupported shapes to meshes."""
     kind, bounds = _shape(geom)
     return rb.ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
 

@@ -1,4 +1,4 @@
-"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` with the world in each clone.
+"""Load this world into Isaac Lab: ``scene_cfg()`` returns an ``InteractiveSceneCfg`` with a clone in each environment.
 
 Start the app first (``AppLauncher``), then:
 
@@ -23,23 +23,24 @@ ROOT = "{ENV_REGEX_NS}/World"
 
 
 def description() -> dict[str, Any]:
-    """Return ``objects.json``: gravity, and the objects with their prims."""
+    """Read ``objects.json``, which contains gravity, and the objects with their prims."""
     found: dict[str, Any] = json.loads((HERE / "objects.json").read_text(encoding="utf-8"))
     return found
 
 
 def simulation_cfg(**settings: Any) -> Any:
-    """Return a ``SimulationCfg`` with the gravity of the scene; ``settings`` are its other fields."""
+    """Return a ``SimulationCfg`` with the scene's gravity; ``settings`` are passed as its other fields."""
     import isaaclab.sim as sim_utils
 
     return sim_utils.SimulationCfg(gravity=tuple(description()["gravity"]), **settings)
 
 
 def quaternion(wxyz: list[float], identity: tuple[float, ...]) -> tuple[float, ...]:
-    """Return a rotation in Isaac Lab's quaternion order, given by ``identity``: w first up to version 2, then last.
+    """Return a rotation in Isaac Lab's quaternion order, with w first up to version 2, and w last in later versions.
 
-    The default of its configuration is used because the version of the Python package differs from that of the release
-    (Isaac Lab 2.3 is 0.4x). Raises :class:`ValueError` if the default is an identity in neither order.
+    The order is inferred from ``identity``, a default value in Isaac Lab's configuration, because the version of the
+    Python package differs from that of the release (Isaac Lab 2.3 is 0.4x). Raises :class:`ValueError` if the default
+    is not an identity in either order.
     """
     w, x, y, z = wxyz
     if tuple(identity) == (1.0, 0.0, 0.0, 0.0):
@@ -53,13 +54,13 @@ def quaternion(wxyz: list[float], identity: tuple[float, ...]) -> tuple[float, .
 
 
 def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> Any:
-    """Return an ``InteractiveSceneCfg`` with the stage in each environment, and all movable objects by name."""
+    """Return an ``InteractiveSceneCfg`` with the stage in each environment and all movable objects by name."""
     import isaaclab.sim as sim_utils
     from isaaclab.assets import ArticulationCfg, AssetBaseCfg, RigidObjectCfg
     from isaaclab.scene import InteractiveSceneCfg
 
     config = InteractiveSceneCfg(num_envs=num_envs, env_spacing=env_spacing, **settings)
-    # The simulation creates its own physics scene; `environment.usda` is the stage without one.
+    # `environment.usda` is the stage without its physics scene, because the simulation creates its own.
     spawn = sim_utils.UsdFileCfg(usd_path=str(HERE / "environment.usda"))
     config.world = AssetBaseCfg(prim_path=ROOT, spawn=spawn)
     identity = AssetBaseCfg.InitialStateCfg().rot
@@ -76,7 +77,7 @@ def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> A
 
 
 def main() -> None:
-    """Load one environment, step it for one second, and print a summary."""
+    """Load one environment, simulate it for one second, and print a summary."""
     from isaaclab.app import AppLauncher
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -1,7 +1,7 @@
 """Load this world into Isaac Sim: ``load()`` opens the stage; ``python load.py`` displays and simulates it.
 
-Run this script with Isaac Sim's Python. ``SimulationApp`` must exist before any other module of Isaac Sim is imported;
-in your own script, start it before you call ``load()``.
+Run this script with Isaac Sim's Python. ``SimulationApp`` must exist before any other Isaac Sim module is imported, so
+start it in your own script before you call ``load()``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SCENE = Path(__file__).resolve().parent / "scene.usda"
 
 
 def load() -> Any:
-    """Open the stage in the running app and return it; PhysX computes contacts exactly as the scene defines them."""
+    """Open the stage in the running app and return it; PhysX combines the frictions exactly as the scene defines."""
     import omni.usd
 
     context = omni.usd.get_context()
@@ -30,7 +30,7 @@ def has_display() -> bool:
 
 
 def main() -> None:
-    """Simulate until the window is closed; without a display, step for one second and print a summary."""
+    """Simulate until the window is closed; without a display, simulate for one second and print a summary."""
     from isaacsim import SimulationApp
 
     app = SimulationApp({"headless": not has_display()})

@@ -5,8 +5,8 @@
     env.reset(seed=0)
     env.unwrapped.things["cup"].pose
 
-Poses, contact materials, joint friction and motors come from ``poses.json`` and ``physics.json``, because URDF cannot
-represent them.
+Poses, contact materials, joint friction and motors are read from ``poses.json`` and ``physics.json``, because URDF
+cannot represent them.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ HERE = Path(__file__).resolve().parent
 POSES: dict[str, Any] = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
 PHYSICS: dict[str, Any] = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
 FAR = 3.4e38
-"""The force limit of an unlimited motor [N or N m]."""
+"""The force limit that represents an unlimited motor [N or N m]."""
 
 
 @register_env("SimFoundryScene-v1", max_episode_steps=600)
 class SceneEnv(BaseEnv):
-    """The scene without a task: no success and no reward; each reset returns objects to their initial poses."""
+    """The scene without a task, so there is no success or reward; each reset moves objects to their initial poses."""
 
     SUPPORTED_REWARD_MODES = ("none",)
 
@@ -98,7 +98,7 @@ class SceneEnv(BaseEnv):
 
 
 def drives_of(name: str) -> dict[str, dict[str, float]]:
-    """Return the motors of an object or a robot by joint."""
+    """Return the motors of an object or a robot by joint name."""
     if name in PHYSICS.get("robots", {}):
         motors: dict[str, dict[str, float]] = PHYSICS["robots"][name]["motors"]
         return motors
@@ -106,14 +106,14 @@ def drives_of(name: str) -> dict[str, dict[str, float]]:
 
 
 def set_surfaces(builder: Any, surfaces: dict[str, dict[str, float]]) -> None:
-    """Set the material of each collision shape of a builder, in the order of the URDF."""
+    """Set the material of each collision shape in a builder, in URDF order."""
     for record, surface in zip(builder.collision_records, surfaces.values(), strict=True):
         mu = surface["friction"]
         record.material = sapien.physx.PhysxMaterial(mu, mu, surface["restitution"])
 
 
 def load(num_envs: int = 1, **settings: Any) -> Any:
-    """Create the environment and reset it; ``settings`` are passed to ``gymnasium.make``."""
+    """Create and reset the environment; ``settings`` are passed to ``gymnasium.make``."""
     env = gymnasium.make("SimFoundryScene-v1", num_envs=num_envs, **settings)
     env.reset(seed=0)
     return env

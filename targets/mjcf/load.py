@@ -1,8 +1,7 @@
 """Load this world: ``load()`` returns a MuJoCo model and its data; ``python load.py`` opens the viewer.
 
-``load()`` gives all contacts the exact properties of their two surfaces, from the current values in ``scene.xml``.
-After you change a friction, ``python load.py --contacts`` updates ``contacts.xml`` for programs that open ``scene.xml``
-directly.
+``load()`` makes all contacts exact, based on the current surface values in ``scene.xml``. If you change a friction, run
+``python load.py --contacts`` to update ``contacts.xml`` for programs that open ``scene.xml`` directly.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def read_rules() -> ModuleType:
-    """Import the module ``contact_rules.py`` beside this file, for any working directory."""
+    """Import ``contact_rules.py`` from this file's folder, regardless of the working directory."""
     spec = importlib.util.spec_from_file_location("contact_rules", HERE / "contact_rules.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -28,7 +27,7 @@ def read_rules() -> ModuleType:
 
 
 def load() -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Return the model, and its data in the initial state of the scene."""
+    """Return the model, and its data in the scene's initial state."""
     rules = read_rules()
     spec = rules.read_scene(HERE)
     if (HERE / rules.CONTACTS_FILE).is_file():
@@ -65,7 +64,7 @@ def main() -> None:
 
         mujoco.viewer.launch(model, data)
     else:
-        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # without the bodies of proxy geoms
+        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # excludes the bodies of proxy geoms
         print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints")
 
 

@@ -1,10 +1,10 @@
-"""Load this world into MJX: ``load()`` returns a model and data on JAX's device; ``python load.py`` prints a summary.
+"""Load this world into MJX: ``load()`` returns a model and data on a JAX device; ``python load.py`` prints a summary.
 
     model, data = load()
     step = jax.jit(mjx.step)
     data = step(model, data)
 
-The first step compiles, which can take minutes on a CPU if many geoms can collide.
+The first step is compiled, which can take minutes on a CPU if many geoms can collide.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def load() -> tuple[mjx.Model, mjx.Data]:
-    """Return the model, and its data in the initial state of the scene."""
+    """Return the model, and its data in the scene's initial state."""
     model = mujoco.MjModel.from_xml_path(str(HERE / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("initial").id)

@@ -1,4 +1,4 @@
-"""The contacts of a MuJoCo model and their frictions, computed by MuJoCo's rules for masks and priorities."""
+"""Contacts in a MuJoCo model and their frictions, computed with MuJoCo's rules for masks and priorities."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PROXY = ":proxy"
 
 
 class Resistance(NamedTuple):
-    """The resistance of a contact: friction, and resistance to spinning and rolling [m]."""
+    """The friction of a contact, and its resistance to spinning and rolling [m]."""
 
     friction: float
     spinning: float
@@ -22,14 +22,14 @@ class Resistance(NamedTuple):
 
 
 Form = tuple[int, int, int, int, Resistance]
-"""Masks, priority, contact dimensions and friction of a geom."""
+"""A geom's two masks, priority, contact dimensions and friction."""
 
 AMBIGUOUS = Resistance(float("inf"), float("inf"), float("inf"))
-"""The resistance of two colliders if several of their geoms meet, which is an error."""
+"""The resistance reported for two colliders if several pairs of their geoms collide, which is an error."""
 
 
 class Meetings:
-    """The geoms that collide, by body and collider; ``colliders`` lists each collider's geoms, including proxies."""
+    """The collision geoms by body and collider; ``colliders`` lists each collider's geoms, including proxies."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
@@ -51,21 +51,21 @@ class Meetings:
         self._forms: list[Form] = [(*row, friction) for row, friction in zip(rows, frictions, strict=True)]
 
     def contact(self, a: list[int], b: list[int]) -> Resistance | None:
-        """Return the resistance between two colliders given by their geoms; None if they never meet."""
+        """Return the resistance between two colliders, given by their geoms, or None if they never collide."""
         found = [met for one in a for other in b if (met := self._meet(one, other)) is not None]
         return None if not found else found[0] if len(found) == 1 else AMBIGUOUS
 
     def surface(self, geom: int) -> Resistance:
-        """Return the resistance stated by a geom itself."""
+        """Return a geom's own resistance."""
         return resistance(self._forms[geom][4], self._forms[geom][3])
 
     def touch(self, a: int, b: int) -> bool:
-        """Return true if any colliders of two bodies collide."""
+        """Return true if any geoms of two bodies collide."""
         ours, theirs = self.colliders.get(a, {}), self.colliders.get(b, {})
         return any(self.contact(one, other) is not None for one in ours.values() for other in theirs.values())
 
     def contacts(self) -> Iterator[tuple[str, str, Resistance]]:
-        """Yield all pairs of named colliders of different bodies that collide, with their resistance."""
+        """Yield all pairs of named colliders in different bodies that can collide, with their resistance."""
         for a, b in combinations(sorted(self.colliders), 2):
             for one, ours in self.colliders[a].items():
                 for other, theirs in self.colliders[b].items():
@@ -88,7 +88,10 @@ class Meetings:
         return resistance(slide_a, dim_a) if priority_a > priority_b else resistance(slide_b, dim_b)
 
     def _apart(self, a: int, b: int) -> bool:
-        """Return true if two bodies never collide: excluded, welded, or connected by a joint (except to the world)."""
+        """Return true if two bodies never collide because they are excluded, welded or connected by a joint.
+
+        Joints to the world do not prevent collisions.
+        """
         a, b = min(a, b), max(a, b)
         one, two = self._weld[a], self._weld[b]
         joined = bool(one and two) and (one == self._above[b] or two == self._above[a])
@@ -96,6 +99,6 @@ class Meetings:
 
 
 def resistance(friction: Sequence[float], dimensions: int) -> Resistance:
-    """Return the resistance from MuJoCo's three coefficients, limited to those that count for ``dimensions``."""
+    """Return the resistance from MuJoCo's three coefficients, using only those that apply to ``dimensions``."""
     sliding, spinning, rolling = friction
     return Resistance(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)

@@ -1,4 +1,4 @@
-"""MuJoCo read-back of the mjcf build, loaded by its own ``load.py``."""
+"""MuJoCo read-back of an mjcf build, which is loaded by its own ``load.py``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the build in ``folder``, from its loader."""
+    """Return a session for the build in ``folder``, which is opened by its loader."""
     return MujocoSession(*loader.load())
 
 
@@ -46,13 +46,13 @@ class MujocoSession(rb.Session):
         mujoco.mj_step(self.model, self.data)
 
     def moment(self, time: float) -> rb.Moment:
-        """Return a sample after updating the kinematics; otherwise body poses are those before the last step."""
+        """Return a sample after updating the kinematics, because body poses would otherwise lag by one step."""
         mujoco.mj_kinematics(self.model, self.data)
         poses = {name: self._pose(k) for name, k in self._roots.items()}
         return rb.Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return bodies, joints and pair frictions."""
+        """Return bodies, joints and pairwise frictions."""
         mujoco.mj_forward(self.model, self.data)
         links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
         return rb.WorldReadback(
@@ -71,7 +71,7 @@ class MujocoSession(rb.Session):
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
 
     def _held(self, body: int) -> str:
-        """Return the parent of a body; a body in the world is either welded to it or free."""
+        """Return the parent of a body; a child of the world is either welded to it or free."""
         parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
         if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
             return rb.FREE
@@ -96,7 +96,7 @@ class MujocoSession(rb.Session):
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         x, y, z = (2 * float(v) for v in model.geom_size[geom])
-        if kind == "mesh":  # MuJoCo moves a mesh to its inertial frame, and the geom inversely
+        if kind == "mesh":  # MuJoCo moves the mesh to its inertial frame and the geom in the opposite direction
             mesh = model.geom_dataid[geom]
             start = model.mesh_vertadr[mesh]
             bounds = rb.mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
@@ -128,7 +128,7 @@ class MujocoSession(rb.Session):
         )
 
     def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:
-        """Return the leader in a joint's equality constraint, with multiplier and offset."""
+        """Return the leader in a joint's equality constraint, with the multiplier and the offset."""
         model = self.model
         for k in range(model.neq):
             if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[k] == joint and model.eq_obj2id[k] >= 0:
@@ -137,7 +137,7 @@ class MujocoSession(rb.Session):
         return "", ()
 
     def _drive(self, joint: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return stiffness, damping and target of a joint's actuator, and its maximum force."""
+        """Return the stiffness, damping and target of a joint's actuator, and its maximum force."""
         model = self.model
         for k in range(model.nu):
             if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[k][0] == joint:
@@ -148,7 +148,7 @@ class MujocoSession(rb.Session):
         return (), ()
 
     def _silent(self) -> tuple[str, ...]:
-        """Return the pairs of bodies whose collisions MuJoCo never tests, or whose geoms never collide by its rules."""
+        """Return the pairs of bodies that MuJoCo never tests for collisions or whose geoms can never collide."""
         bodies = [body for body in self._bodies.values() if self._meetings.colliders.get(body)]
         apart = [(a, b) for a, b in combinations(bodies, 2) if not self._meetings.touch(a, b)]
         return tuple(rb.pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
@@ -159,7 +159,7 @@ class MujocoSession(rb.Session):
     def _contacts(self, links: Mapping[str, rb.LinkReadback]) -> tuple[dict[str, rb.LinkReadback], dict[str, float]]:
         """Return the links, and the friction of each colliding pair unless both colliders already have that value.
 
-        The spinning and rolling resistance of a collider is that of its contacts, whatever the collider itself states.
+        A collider's spinning and rolling resistance is taken from its contacts instead of from its own values.
         """
         own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
         pairs, odd = {}, dict[str, rb.ColliderReadback]()

@@ -1,11 +1,11 @@
-"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes a tenth of a second.
+"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes one step and prints a summary.
 
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
     state, control = model.state(), model.control()
 
-The MJCF states the friction of each pair of surfaces, which USD cannot express. Newton's importer ignores the keyframe
-and the direction of gravity, so this loader sets both. The controls hold the robots in place.
+The MJCF specifies the friction of each pair of surfaces, which USD cannot express. Newton's importer ignores the
+keyframe and the direction of gravity, so this loader sets both. The initial controls hold the robots in place.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TIMESTEP = 1 / 500
 
 
 def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
-    """Return the model on a Warp device, in the state of the keyframe."""
+    """Return the model on a Warp device, in the keyframe's state."""
     root = ET.parse(scene).getroot()
     builder = newton.ModelBuilder()
     builder.add_mjcf(str(scene))
@@ -30,19 +30,19 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
     model = builder.finalize(device=device)
     model.set_gravity(tuple(floats(root.find("option"), "gravity")))
     controls = floats(root.find("keyframe/key"), "ctrl")
-    if controls:  # each control() of the model starts with its values
+    if controls:  # every control() of the model starts with these values
         model.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
     return model
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
-    """Convert MuJoCo's positions to Newton's, which have the same joint order but xyzw quaternions."""
+    """Set Newton's positions from MuJoCo's, which have the same joint order but wxyz instead of xyzw quaternions."""
     ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
     q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
     for kind, child, start, end in zip(
         builder.joint_type, builder.joint_child, builder.joint_q_start, ends, strict=True
     ):
-        if child in carried:  # a loop closed by an equality in MuJoCo is a second joint of the body
+        if child in carried:  # a second joint of the body, which closes a loop and is an equality in MuJoCo
             continue
         carried.add(child)
         count = end - start
@@ -59,7 +59,7 @@ def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
 
 
 def floats(element: ET.Element | None, attribute: str) -> list[float]:
-    """Return the numbers in an attribute; empty if the element or attribute does not exist."""
+    """Return the numbers in an attribute, or an empty list if the element or attribute does not exist."""
     return [] if element is None else [float(v) for v in element.get(attribute, "").split()]
 
 

@@ -1,4 +1,4 @@
-"""Newton read-back of the mjcf build, loaded by the target `newton`."""
+"""Newton read-back of an mjcf build, which is loaded by the loader of the target `newton`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _session = import_file(Path(__file__).with_name("session.py"))
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the model of ``scene.xml`` in the state of its keyframe."""
+    """Return a session for the model in ``scene.xml``, in the state of its keyframe."""
     _session.quiet()
     model = loader.load()
     root = ET.parse(folder / "scene.xml").getroot()
@@ -34,6 +34,6 @@ def _collider(label: str) -> tuple[str, str] | None:
 
 
 def _joint(label: str, joints: set[str]) -> str | None:
-    """Return a joint of the file; None for joints that the importer added."""
+    """Return the name of a joint in the file, or None for a joint that the importer added."""
     name = _last(label)
     return name if name in joints else None

@@ -1,4 +1,4 @@
-"""A session for any Newton model: reading and stepping."""
+"""A session that reads and steps any Newton model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify import readback as rb
 
 NO_LIMIT = 1e9
-"""Newton's importers write limits beyond this value for joints without limits."""
+"""Joint limits beyond this value mean that the joint has no limits; Newton's importers write such values."""
 
 _Joint, _Geo = newton.JointType, newton.GeoType
 _TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
@@ -23,12 +23,12 @@ _KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): 
 
 
 class Names(NamedTuple):
-    """The mapping from an importer's labels to the links, colliders and joints of the scene.
+    """The mapping from an importer's labels to the links, colliders and joints in the scene.
 
-    ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints that
-    the importer adds. ``static`` has the poses of links that Newton merged into the world. ``own_damping`` is the
-    damping of each joint without that of its motor; None if motor damping is stored in MuJoCo's custom attributes, as
-    are resistances that count only in contacts of higher dimension.
+    ``collider`` returns the link and the collider's name, or None for visuals; ``joint`` returns None for joints added
+    by the importer. ``static`` contains the poses of links that Newton merged into the world. ``own_damping`` contains
+    the damping of each joint without its motor. It is None if motor damping is stored in MuJoCo's custom attributes, in
+    which case resistances that apply only to contacts of higher dimension are stored there as well.
     """
 
     link: Callable[[str], str]
@@ -39,14 +39,14 @@ class Names(NamedTuple):
 
 
 class NewtonSession(rb.Session):
-    """A model on the CPU with Newton's MuJoCo solver, the only one of its solvers for articulated scenes."""
+    """A model on the CPU with Newton's MuJoCo solver, the only Newton solver that supports articulated scenes."""
 
     def __init__(self, model: newton.Model, names: Names) -> None:
         self.model, self.names = model, names
         bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
         self._bodies = {
             name: k for name, k in bodies.items() if ":" not in name
-        }  # names with a colon are parts of links
+        }  # names with a colon belong to parts of links
         self._kinds = [int(k) for k in _array(model.joint_type)]
         labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
         self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
@@ -58,7 +58,7 @@ class NewtonSession(rb.Session):
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:
-        """Advance by one step; contacts are MuJoCo's own, as always with this solver."""
+        """Advance by one step; this solver always uses MuJoCo's own contacts."""
         if self._solver is None:
             self._solver = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True, enable_multiccd=True)
         self._state.clear_forces()
@@ -66,7 +66,7 @@ class NewtonSession(rb.Session):
         self._state, self._next = self._next, self._state
 
     def moment(self, time: float) -> rb.Moment:
-        """Return the root poses from the bodies, and the joint positions from the generalized coordinates."""
+        """Return the root poses, from the bodies, and the joint positions, from the generalized coordinates."""
         q = _array(self._state.joint_q)
         poses = {n: rb.pose_numbers(p) for n, p in self._poses().items() if "." not in n}
         return rb.Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
@@ -98,7 +98,7 @@ class NewtonSession(rb.Session):
         )
 
     def _held(self) -> dict[int, str]:
-        """Return the parent in the first joint above each body; any other joint closes a loop."""
+        """Return each body's parent in the first joint above it; any further joint closes a loop."""
         names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
@@ -108,7 +108,7 @@ class NewtonSession(rb.Session):
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """Return the pairs of bodies whose shapes are all filtered; shapes of the world have no body."""
+        """Return the pairs of bodies whose shapes are all filtered; shapes that belong to the world have no body."""
         names = {k: name for name, k in self._bodies.items()}
         owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
         links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
@@ -160,7 +160,7 @@ class NewtonSession(rb.Session):
         return rb.shape_bounds(kind, size, X_LG)
 
     def _joint(self, name: str, joint: int) -> rb.JointReadback:
-        """Return the values of a joint; MJCF damping is passive, whereas USD has one damping for joint and drive."""
+        """Return the values of a joint; MJCF damping is passive, but USD has a single damping for joint and drive."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
@@ -186,12 +186,12 @@ class NewtonSession(rb.Session):
 
 
 def quiet() -> None:
-    """Silence Warp, which reports every kernel that it loads."""
+    """Silence Warp, which otherwise prints a message for every kernel it loads."""
     wp.config.quiet = True
 
 
 def _array(values: wp.array | None) -> np.ndarray:
-    """Return the values as an array; empty if the model has no bodies or joints, for which Newton stores None."""
+    """Return the values as an array, which is empty if the model has no bodies or joints and Newton stores None."""
     return np.zeros(0) if values is None else np.asarray(values.numpy())
 
 

@@ -1,9 +1,9 @@
-"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes a tenth of a second.
+"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes one step and prints a summary.
 
     model = load()
     solver = newton.solvers.SolverMuJoCo(model)
 
-The USD importers are an optional dependency: ``pip install newton[importers]``.
+The USD importer is an optional dependency: ``pip install newton[importers]``.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
 
 
 def open_stage(scene: Path = SCENE) -> Usd.Stage:
-    """Open the stage, with the surfaces' own coefficients in its session layer.
+    """Open the stage with the surfaces' own coefficients in its session layer.
 
-    Newton does not support the square roots written for PhysX.
+    The stage contains square roots for PhysX's combine mode, which Newton does not support.
     """
     stage = Usd.Stage.Open(str(scene))
     with Usd.EditContext(stage, stage.GetSessionLayer()):
@@ -45,7 +45,7 @@ def open_stage(scene: Path = SCENE) -> Usd.Stage:
 
 
 def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
-    """Set the rotation of each ball joint from the poses of its two bodies, because the importer leaves it at zero."""
+    """Set each ball joint's rotation from the poses of its two bodies, because the importer leaves it at zero."""
     cache = UsdGeom.XformCache()
     for joint, label in enumerate(builder.joint_label):
         if builder.joint_type[joint] != newton.JointType.BALL:
@@ -61,7 +61,7 @@ def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
 
 
 def _turned(own: Usd.Attribute, body: Usd.Relationship, stage: Usd.Stage, cache: UsdGeom.XformCache) -> Gf.Quatd:
-    """Return the world rotation of a joint's frame in one of its bodies."""
+    """Return the world rotation of a joint's frame, as attached to one of its bodies."""
     path = body.GetTargets()
     world = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(path[0])) if path else Gf.Matrix4d(1.0)
     return world.RemoveScaleShear().ExtractRotationQuat() * Gf.Quatd(own.Get())

@@ -1,4 +1,4 @@
-"""Newton read-back of the usd build, loaded by the target `newton_usd`."""
+"""Newton read-back of a usd build, which is loaded by the loader of the target `newton_usd`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _names(stage: Usd.Stage) -> Any:
         return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
 
     def link(path: str) -> str:
-        return str(names.get(path, path))  # a robot in its own file has its own names
+        return str(names.get(path, path))  # a robot in its own file keeps its own names
 
     found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(_usd.OWN_DAMPING)}
     own = {found[path] or "": _usd.own_damping(stage.GetPrimAtPath(path)) for path in found}

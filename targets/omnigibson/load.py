@@ -3,7 +3,7 @@
     env = load()
     env.scene.object_registry("name", "cup")
 
-``scene.json`` refers to USD files by relative paths, as OmniGibson's tools expect; this loader makes them absolute.
+``scene.json`` references USD files by relative paths, as OmniGibson's tools expect; this loader makes them absolute.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def scene_file(folder: Path) -> Path:
-    """Copy ``scene.json`` to a folder, with full paths to its files."""
+    """Copy ``scene.json`` to a folder with absolute paths to its files."""
     data = json.loads((HERE / "scene.json").read_text(encoding="utf-8"))
     for info in data["objects_info"]["init_info"].values():
         info["args"]["usd_path"] = str(HERE / info["args"]["usd_path"])
@@ -27,7 +27,7 @@ def scene_file(folder: Path) -> Path:
 
 
 def load(robots: tuple[dict[str, Any], ...] = ()) -> Any:
-    """Return the environment, with the configurations of ``robots`` added to the scene."""
+    """Return the environment with the robots in ``robots``, a tuple of configurations, added to the scene."""
     import omnigibson as og
 
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
@@ -36,7 +36,7 @@ def load(robots: tuple[dict[str, Any], ...] = ()) -> Any:
 
 
 def main() -> None:
-    """Step for one second and print a summary."""
+    """Simulate for one second and print a summary."""
     import omnigibson as og
 
     env = load()

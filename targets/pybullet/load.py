@@ -17,15 +17,15 @@ FLAGS = (
     | pybullet.URDF_USE_IMPLICIT_CYLINDER  # otherwise a cylinder becomes a polyhedron
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
-FAR = 1e9  # practically unlimited force [N or N m]
-GAIN = 0.1  # Bullet's default: fraction of its error that a motor corrects per step
+FAR = 1e9  # a practically unlimited force [N or N m]
+GAIN = 0.1  # Bullet's default fraction of its error that a motor corrects per step
 GEAR_ERP = (
-    0.8  # fraction of the error between geared joints that is corrected per step; at 0.2 fingers yield by 2 degrees
+    0.8  # fraction of the error between geared joints that is corrected per step; at 0.2, fingers yield by 2 degrees
 )
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load all objects and robots, into ``client``, the open default connection, or a new one without a window."""
+    """Load all objects and robots into ``client``, or else into the open default connection or a new headless one."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
@@ -45,7 +45,7 @@ def load(client: int | None = None) -> dict[str, int]:
 
 
 def picture(client: int, camera: str) -> tuple[Any, ...]:
-    """Render a camera with the scene's lights; return the result of ``getCameraImage``: width, height, rgba, ..."""
+    """Render a camera with the scene's lights, and return the result of ``getCameraImage``: width, height, rgba, ..."""
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     view = world["cameras"][camera]
     size, matrices = (view["width"], view["height"]), (view["view"], view["projection"])
@@ -56,7 +56,7 @@ def picture(client: int, camera: str) -> tuple[Any, ...]:
 
 
 def load_object(client: int, item: dict[str, Any]) -> int:
-    """Load one object of ``world.json`` at its pose, with its materials and joint positions."""
+    """Load one object from ``world.json`` at its pose, with its materials and joint positions."""
     flags = FLAGS | (pybullet.URDF_USE_SELF_COLLISION if item.get("self_collision") else 0)
     body: int = pybullet.loadURDF(
         str(HERE / item["urdf"]), useFixedBase=item["fixed"], flags=flags, physicsClientId=client
@@ -82,8 +82,8 @@ def load_object(client: int, item: dict[str, Any]) -> int:
 
 
 def load_robot(client: int, item: dict[str, Any]) -> int:
-    """Load one robot of ``world.json`` at its pose, with motors that hold its joints and coupled fingers."""
-    # In file order, links that precede their parents would have no pose, so Bullet must sort them.
+    """Load one robot from ``world.json`` at its pose, with coupled fingers and with motors that hold its joints."""
+    # Bullet must sort the links, because in file order, links that precede their parents would have no pose.
     flags = FLAGS & ~pybullet.URDF_MAINTAIN_LINK_ORDER
     body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=flags, physicsClientId=client)
     place(client, body, item["p"], item["q_wxyz"])
@@ -107,7 +107,7 @@ def load_robot(client: int, item: dict[str, Any]) -> int:
 
 
 def hold(client: int, body: int, index: int, motor: dict[str, float], target: float | None = None) -> None:
-    """Move a joint to the motor's target, or to ``target``, with at most its maximum force, and hold it there."""
+    """Move a joint to the motor's target, or to ``target``, and hold it there with at most the motor's force."""
     pybullet.setJointMotorControl2(
         body,
         index,
@@ -120,28 +120,28 @@ def hold(client: int, body: int, index: int, motor: dict[str, float], target: fl
 
 
 def press(client: int, body: int, index: int, motor: dict[str, float], target: float) -> None:
-    """Limit a motor with a stiffness to the force of its spring at the current error; call this before every step.
+    """Limit the force of a motor that has a stiffness to that of a spring at the current error.
 
-    Otherwise a gripper closes with the full force of its motor, however small the commanded error.
+    Call this before every step. Otherwise, a gripper closes with its motor's full force, no matter how small the error.
     """
     error = abs(target - pybullet.getJointState(body, index, physicsClientId=client)[0])
     hold(client, body, index, {**motor, "force": min(motor["force"], motor["stiffness"] * error)}, target)
 
 
 def joint_index(client: int, body: int, joint: str) -> int:
-    """Return Bullet's index of a joint by name, which is also the index of its child link."""
+    """Return Bullet's index of the joint with the given name, which is also the index of its child link."""
     names = [pybullet.getJointInfo(body, k, physicsClientId=client)[1].decode() for k in range(joints(client, body))]
     return names.index(joint)
 
 
 def link_index(client: int, body: int, link: str) -> int:
-    """Return Bullet's index of a link by name; the base is -1."""
+    """Return Bullet's index of the link with the given name, which is -1 for the base."""
     names = [pybullet.getJointInfo(body, k, physicsClientId=client)[12].decode() for k in range(joints(client, body))]
     return names.index(link) if link in names else -1
 
 
 def joints(client: int, body: int) -> int:
-    """Return the number of joints of a body."""
+    """Return the number of joints in a body."""
     count: int = pybullet.getNumJoints(body, physicsClientId=client)
     return count
 
@@ -152,7 +152,7 @@ def silence(client: int, body_a: int, link_a: int, body_b: int, link_b: int) -> 
 
 
 def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
-    """Set the world pose of the base's link frame. Bullet's own base pose is that of the inertial frame."""
+    """Set the world pose of the base's link frame; Bullet's own base pose refers to the inertial frame."""
     inertial = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3:5]
     w, x, y, z = q_wxyz
     pose = pybullet.multiplyTransforms(p, [x, y, z, w], *inertial)
@@ -161,7 +161,7 @@ def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
 
 
 def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> None:
-    """Set the contact properties of a link, and disable the air drag that Bullet adds."""
+    """Set the contact properties of a link, and disable the air drag that Bullet adds by default."""
     pybullet.changeDynamics(
         body,
         index,
@@ -176,7 +176,7 @@ def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> N
 
 
 def set_joint(client: int, body: int, index: int, item: dict[str, Any], joint: str) -> None:
-    """Set position and damping of a joint; Bullet's default motor in each joint models its Coulomb friction."""
+    """Set a joint's position and damping, and use Bullet's default motor to model its Coulomb friction."""
     pybullet.changeDynamics(body, index, jointDamping=item["joint_damping"][joint], physicsClientId=client)
     pybullet.resetJointState(body, index, item["joints"][joint], 0.0, physicsClientId=client)
     pybullet.setJointMotorControl2(
@@ -190,7 +190,7 @@ def set_joint(client: int, body: int, index: int, item: dict[str, Any], joint: s
 
 
 def set_ball(client: int, body: int, index: int, item: dict[str, Any], joint: str) -> None:
-    """Set rotation, damping and friction of a ball joint, as :func:`set_joint` does."""
+    """Set a ball joint's rotation, damping and friction in the same way as :func:`set_joint`."""
     pybullet.changeDynamics(body, index, jointDamping=item["joint_damping"][joint], physicsClientId=client)
     w, x, y, z = item["balls"][joint]
     pybullet.resetJointStateMultiDof(body, index, [x, y, z, w], [0, 0, 0], physicsClientId=client)
@@ -207,7 +207,7 @@ def set_ball(client: int, body: int, index: int, item: dict[str, Any], joint: st
 
 
 def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, Any]) -> None:
-    """Couple a joint to another by a gear constraint without backlash."""
+    """Couple a joint to another joint with a gear constraint that has no backlash."""
     gear = pybullet.createConstraint(
         body, follower, body, leader, pybullet.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0], physicsClientId=client
     )
@@ -222,7 +222,7 @@ def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, 
 
 
 def set_drive(client: int, body: int, index: int, drive: dict[str, float], target: float | None = None) -> None:
-    """Pull a joint to the drive's target, or to ``target``, like a spring and damper, up to its force limit."""
+    """Add a spring and damper toward the drive's target, or toward ``target``, up to the drive's force limit."""
     pybullet.setJointMotorControl2(
         body,
         index,

@@ -1,4 +1,4 @@
-"""PyBullet read-back of the pybullet build, loaded by its own ``load.py``."""
+"""PyBullet read-back of a pybullet build, which is loaded by its own ``load.py``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify import readback as rb
 
 BASE = -1
-"""PyBullet's index of the root link; any other link has the index of its parent joint."""
+"""PyBullet's index for the root link; any other link has the index of its parent joint."""
 
 _NUDGE = 0.005
-"""Displacement of joints to detect their motors [rad or m]."""
+"""Displacement of joints for detecting their motors [rad or m]."""
 
 _TYPES = {pybullet.JOINT_PRISMATIC: "prismatic", pybullet.JOINT_REVOLUTE: "revolute",
           pybullet.JOINT_SPHERICAL: "ball"}  # fmt: skip
@@ -27,7 +27,7 @@ _KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEO
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the build in ``folder``, from its loader."""
+    """Return a session for the build in ``folder``, which is opened by its loader."""
     client = pybullet.connect(pybullet.DIRECT)
     bodies = loader.load(client)
     world = json.loads((folder / "world.json").read_text(encoding="utf-8"))
@@ -35,7 +35,7 @@ def open_build(folder: Path, loader: ModuleType) -> rb.Session:
 
 
 class PybulletSession(rb.Session):
-    """A client and its bodies by object name; ``robots`` are the bodies that are not objects."""
+    """A PyBullet client with its bodies by object name; ``robots`` names the bodies that are robots."""
 
     def __init__(self, client: int, bodies: dict[str, int], gravity: tuple[float, ...], robots: list[str]) -> None:
         self.client, self.bodies = client, bodies
@@ -45,7 +45,7 @@ class PybulletSession(rb.Session):
         self._joints: dict[str, tuple[int, int]] = {}
         for name, body in bodies.items():
             self._links[name] = (body, BASE)
-            owner = name.partition(".")[0]  # a freely moving part is a separate body, such as `pot.lid`
+            owner = name.partition(".")[0]  # freely moving parts, such as `pot.lid`, are separate bodies
             for index in range(self._call("getNumJoints", body)):
                 info = self._call("getJointInfo", body, index)
                 self._links[f"{owner}.{info[12].decode()}"] = (body, index)
@@ -67,7 +67,7 @@ class PybulletSession(rb.Session):
         return rb.Moment(time, poses, joints)
 
     def read(self) -> rb.WorldReadback:
-        """Return links and joints. PyBullet does not report gravity, so it is taken from ``world.json``."""
+        """Return links, joints and gravity, which is read from ``world.json`` because PyBullet does not report it."""
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
         return rb.WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
@@ -77,7 +77,7 @@ class PybulletSession(rb.Session):
         pybullet.disconnect(self.client)
 
     def _motors(self) -> Iterator[str]:
-        """Yield the robot joints that return when displaced, because Bullet reports motors in no other way."""
+        """Yield the robot joints that move back when displaced, because Bullet has no other way to detect motors."""
         state = self._call("saveState")
         driven = {n: at for n, at in self._joints.items() if n.partition(".")[0] in self._robots}
         for body, index in driven.values():
@@ -89,7 +89,7 @@ class PybulletSession(rb.Session):
         self._call("removeState", state)
 
     def _held(self, body: int, index: int) -> str:
-        """Return the parent of a link; Bullet gives a static base no mass."""
+        """Return the parent of a link; a base without mass is static."""
         if index == BASE:
             return rb.FREE if self._call("getDynamicsInfo", body, BASE)[0] else rb.WORLD
         parent = int(self._call("getJointInfo", body, index)[16])
@@ -100,7 +100,7 @@ class PybulletSession(rb.Session):
         return Pose.of(p, from_xyzw(q))
 
     def _pose(self, body: int, index: int) -> Pose:
-        # Bullet stores link frames in single precision; inertial frames, in double precision, give the same pose.
+        # Bullet stores link frames in single precision, but inertial frames, which give the same pose, in double.
         if index == BASE:
             p, q = self._call("getBasePositionAndOrientation", body)
         else:
@@ -108,7 +108,7 @@ class PybulletSession(rb.Session):
         return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
 
     def _link(self, body: int, index: int) -> rb.LinkReadback:
-        """Return the values of a link; a root welded to the world has no mass in Bullet."""
+        """Return the values of a link, without the mass of a root welded to the world, which Bullet does not store."""
         info = self._call("getDynamicsInfo", body, index)
         mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
         X_LI = self._inertial(body, index)
@@ -130,7 +130,7 @@ class PybulletSession(rb.Session):
         X_LG = X_LI @ Pose.of(shape[5], from_xyzw(shape[6]))
         x, y, z = shape[3]
         if kind == "mesh":
-            # Bullet returns the vertices of only one shape per link, for any requested shape, in the inertial frame.
+            # Bullet returns the vertices of the same shape for all shapes in a link, in the inertial frame.
             vertices = self._call("getMeshData", shape[0], shape[1])[1] if count == 1 and index == 0 else ()
             bounds = rb.mesh_bounds(np.array(vertices), X_LI) if vertices else None
         else:
@@ -151,5 +151,5 @@ class PybulletSession(rb.Session):
         )
 
     def _turned(self, body: int, index: int) -> tuple[float, ...]:
-        """Return the quaternion of a ball joint, which Bullet gives with w last."""
+        """Return the quaternion of a ball joint, which Bullet stores with w last."""
         return rb.numbers(from_xyzw(self._call("getJointStateMultiDof", body, index)[0]))

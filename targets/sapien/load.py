@@ -3,9 +3,10 @@
     scene, objects = load()
     scene.step()
 
-An object with joints is a ``PhysxArticulation``, any other object an ``Entity``. Contact materials, gravity, armature,
-motors and joint friction come from ``physics.json``, because URDF cannot represent them. PhysX averages the frictions
-of a pair. A motor starts at the target of the scene; change it with ``joint.set_drive_target``.
+An object with joints becomes a ``PhysxArticulation``, and any other object becomes an ``Entity``. Contact materials,
+gravity, armature, motors and joint friction are read from ``physics.json``, because URDF cannot represent them. PhysX
+averages the frictions of two surfaces. Motor targets are initially those in the scene; change them with
+``joint.set_drive_target``.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from sapien import physx
 HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
-"""Damping [N s/m or N m s/rad] of the drive that models Coulomb friction, limited to the friction force."""
+"""Damping [N s/m or N m s/rad] of the drive that models Coulomb friction; its force is limited to the friction."""
 
 FAR = 3.4e38
-"""The force limit of an unlimited motor [N or N m]: the largest value that PhysX accepts."""
+"""The force limit that represents an unlimited motor [N or N m], which is the largest value that PhysX accepts."""
 
 TENDON = 1e5
 """Stiffness of the tendon that couples a joint to its leader [N/m or N m/rad]."""
 
 FIRST, EVERY = 1, 0xFFFFFFFF
-"""The collision category of most shapes, and the mask of all categories."""
+"""The collision category of most shapes, and the mask that matches all categories."""
 
 SOFT = 1e3
-"""Tendon stiffness for a joint whose leader is itself on a tendon; with higher stiffness, the two oscillate."""
+"""Tendon stiffness for a joint whose leader is itself driven by a tendon; with a higher stiffness, they oscillate."""
 
 
 class Law(NamedTuple):
@@ -50,13 +51,13 @@ class Law(NamedTuple):
 
 Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
 Link: TypeAlias = tuple[str, str]
-"""An object and one of its links."""
+"""The name of an object and the name of one of its links."""
 
 
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
-    """Load every object into ``scene``, by default a new one on the CPU.
+    """Load all objects into ``scene``, which is a new scene on the CPU by default.
 
-    ``visuals`` requires a render device; without one, SAPIEN's URDF reader crashes.
+    ``visuals`` requires a rendering device; without one, SAPIEN's URDF reader crashes.
     """
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     if scene is None:
@@ -75,7 +76,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
 
 
 def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
-    """Disable collisions between links of different objects; each link is given with its object."""
+    """Disable collisions between links of different objects; a link is given by its object and name."""
     found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
     for (name, link), (kind, met) in found.items():
         for shape in link_of(world[name], link).collision_shapes:
@@ -84,10 +85,10 @@ def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
 
 
 def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
-    """Return a category and a mask for each link, such that excluded pairs do not match; one match suffices to collide.
+    """Return a collision category and a mask for each link, such that the links of an excluded pair never match.
 
-    Links with the same excluded links share a category; all other links have the first one. PhysX has 32 categories;
-    links beyond that number keep all of their collisions.
+    Links with the same excluded links share a category; all other links have the first category. PhysX supports 32
+    categories; links for which there are no more categories keep all of their collisions.
     """
     passed: dict[Link, set[Link]] = {}
     for a, b in pairs:
@@ -95,7 +96,7 @@ def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
         passed.setdefault(b, set()).add(a)
     groups = sorted({tuple(sorted(others)) for others in passed.values()})
     if (left := len(groups) - 31) > 0:
-        print(f"PhysX has too few categories for {len(groups)} groups of excluded links; {left} still collide")
+        print(f"PhysX has too few categories for {len(groups)} groups of excluded links; {left} of them still collide")
     bits = {group: 1 << k for k, group in enumerate(groups[:31], start=1)}
     own = {link: bits.get(tuple(sorted(others)), FIRST) for link, others in passed.items()}
     found = {}
@@ -106,24 +107,24 @@ def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
 
 
 def link_of(thing: Loaded, name: str) -> physx.PhysxRigidBaseComponent:
-    """Return a link of an object by name; an object without joints has only one link."""
+    """Return the link of an object with the given name; an object without joints has only one link."""
     if isinstance(thing, physx.PhysxArticulation):
         return thing.find_link_by_name(name)
     return component_of(thing)
 
 
 def drive_robot(robot: physx.PhysxArticulation, said: dict[str, Any]) -> None:
-    """Set the motors and mimic joints of a robot with its own URDF that its file does not state."""
+    """Set those motors and mimic joints of a robot with its own URDF that its file does not contain."""
     for name, drive in said["motors"].items():
         set_drive(robot.find_joint_by_name(name), drive)
     follow(robot, {name: Law(law["joint"], law["multiplier"], law["offset"]) for name, law in said["follow"].items()})
 
 
 def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
-    """Copy a URDF to ``folder`` in a form that SAPIEN can read, with full paths to its meshes.
+    """Copy a URDF to ``folder`` in a form that SAPIEN can read, with absolute paths to its meshes.
 
-    Visuals are omitted unless ``visuals`` is set. A single fixed link has no inertial element, because SAPIEN does not
-    accept one for a static body.
+    Visuals are omitted unless ``visuals`` is set. The inertial element of a single fixed link is also omitted, because
+    SAPIEN does not accept it for a static body.
     """
     tree = ET.parse(urdf)
     root = tree.getroot()
@@ -142,8 +143,8 @@ def load_object(
 ) -> Loaded:
     """Load one object at its pose, with its materials, joint positions and collision filters.
 
-    A robot with its own URDF has no ``physics``; it keeps SAPIEN's default surfaces, and its links do not collide with
-    each other.
+    ``physics`` is None for a robot with its own URDF, which keeps SAPIEN's default surfaces and whose links do not
+    collide with each other.
     """
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
@@ -159,7 +160,7 @@ def load_object(
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"], build_mimic_joints=False)
-    if physics is not None:  # mimic joints of a robot with its own URDF are set elsewhere
+    if physics is not None:  # drive_robot() sets the mimic joints of a robot with its own URDF
         records = articulations[0].mimic_joint_records
         follow(articulation, {m.joint: Law(m.mimic, m.multiplier, m.offset) for m in records})
     names = {link.name for link in articulation.links}
@@ -177,7 +178,7 @@ def load_object(
 
 
 def follow(articulation: physx.PhysxArticulation, laws: dict[str, Law]) -> None:
-    """Couple mimic joints to their leaders; print a message for each joint that cannot be coupled."""
+    """Couple mimic joints to their leaders, and print a message for each joint that cannot be coupled."""
     for name, law in laws.items():
         direct, *around = ways(name, laws)
         if not (tie(articulation, name, direct, TENDON) or any(tie(articulation, name, way, SOFT) for way in around)):
@@ -185,7 +186,7 @@ def follow(articulation: physx.PhysxArticulation, laws: dict[str, Law]) -> None:
 
 
 def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
-    """Yield the law of a joint, and equivalent laws relative to other joints with the same leader."""
+    """Yield the law of a joint, followed by equivalent laws relative to other joints with the same leader."""
     own = laws[name]
     yield own
     for other, law in laws.items():
@@ -195,10 +196,10 @@ def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
 
 
 def tie(articulation: physx.PhysxArticulation, name: str, law: Law, stiffness: float) -> bool:
-    """Couple a joint to another by a stiff tendon; return False if PhysX cannot.
+    """Couple a joint to another joint with a stiff tendon, or return False if PhysX cannot couple them.
 
-    PhysX can couple a joint only to its parent joint or to a sibling. SAPIEN's reader does the same, but inverts the
-    ratio of siblings.
+    PhysX can couple a joint only to its parent joint or to a sibling. SAPIEN's own URDF reader uses the same method,
+    but inverts the ratio between siblings.
     """
     joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(law.leader)
     above, beside = joint.parent_link == other.child_link, joint.parent_link == other.parent_link
@@ -227,9 +228,9 @@ def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
 
 
 def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
-    """Return a mask for each link such that two links share a bit if they do not collide; PhysX has 32 bits.
+    """Return a 32-bit mask for each link such that two links share a bit if and only if they do not collide.
 
-    Each bit represents a maximal set of links of which no two collide.
+    Each bit represents a maximal set of links in which no two links collide.
     """
     masks, left, bit = dict.fromkeys(links, 0), set(silent), 0
     while left:
@@ -238,7 +239,7 @@ def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
         quiet += [a for a in sorted(links - first) if all(frozenset((a, b)) in silent for b in quiet)]
         quiet = [a for k, a in enumerate(quiet) if all(frozenset((a, b)) in silent for b in quiet[:k])]
         if bit == 32:
-            raise RuntimeError("PhysX has too few mask bits for the excluded pairs of links in this object")
+            raise RuntimeError("PhysX has too few mask bits for the excluded link pairs in this object")
         for link in quiet:
             masks[link] |= 1 << bit
         left -= {frozenset((a, b)) for a in quiet for b in quiet if a != b}
@@ -259,16 +260,16 @@ def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[s
 
 
 def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> None:
-    """Set the mask of each collision shape within the group of its object."""
+    """Set the mask of each collision shape within its object's group."""
     for shape in link.collision_shapes:
         first, second, ignored, _ = shape.collision_groups
         shape.set_collision_groups([first, second, ignored | mask, group])
 
 
 def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> None:
-    """Set armature and motor of a joint, or its Coulomb friction as a drive that holds the joint up to a force.
+    """Set a joint's armature and motor, or its Coulomb friction as a drive that holds the joint up to a force.
 
-    PhysX has one drive per joint, which also provides its damping; friction is omitted if there is damping or a motor.
+    PhysX has one drive per joint, which also models its damping, so friction is omitted if there is damping or a motor.
     """
     joint.armature = np.full(joint.dof, values["armature"], dtype=np.float32)
     joint.friction = 0.0
@@ -279,7 +280,7 @@ def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> No
 
 
 def set_drive(joint: physx.PhysxArticulationJoint, drive: dict[str, float]) -> None:
-    """Set a motor that pulls a joint to its target like a spring and damper, plus the joint's own damping."""
+    """Set a motor that acts as a spring and damper toward the joint's target, and adds the joint's own damping."""
     limit = drive.get("force_limit", FAR)
     joint.set_drive_property(drive["stiffness"], drive["damping"] + joint.damping, limit, "force")
     joint.set_drive_target(drive["target"])

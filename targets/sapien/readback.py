@@ -1,4 +1,4 @@
-"""SAPIEN read-back (PhysX on the CPU) of the urdf build, loaded by its ``load_sapien.py``."""
+"""SAPIEN read-back (PhysX on the CPU) of a urdf build, which is loaded by its ``load_sapien.py``."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from simfoundry.verify import readback as rb
 
 _TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
 _ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
-"""Rotation from our shapes, along z, to PhysX's, along x."""
+"""Rotation from SimFoundry's shapes, which are aligned with z, to PhysX's shapes, which are aligned with x."""
 
 _NO_LIMIT = 1e9
 
 _SINGLE = 1e-6
-"""Two single-precision values that differ by less than this are equal."""
+"""Threshold below which single-precision values count as equal."""
 
 
 def open_build(folder: Path, loader: ModuleType) -> rb.Session:
-    """Return a session for the scene from the loader."""
+    """Return a session for the scene that the loader creates."""
     scene, world = loader.load()
     files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
     return SapienSession(scene, world, BuildNames(_collider_names(folder), _own_damping(files), loader.HOLD))
 
 
 class BuildNames(NamedTuple):
-    """The data of a build that SAPIEN does not report.
+    """Data in a build that SAPIEN does not report.
 
-    ``colliders`` are the shape names in file order, by object and link. ``damping`` is that of the joints themselves,
-    without motors. ``holds`` is the damping of a drive that models Coulomb friction.
+    ``colliders`` contains the shape names in file order, by object and link. ``damping`` contains the damping of the
+    joints without their motors. ``holds`` is the damping of a drive that models Coulomb friction.
     """
 
     colliders: dict[tuple[str, str], list[str]]
@@ -45,7 +45,7 @@ class BuildNames(NamedTuple):
 
 
 def _own_damping(files: dict[str, Path]) -> dict[str, float]:
-    """Return the damping of the joints in the files, by ``object.joint``."""
+    """Return the joint damping in the files by ``object.joint``."""
     return {
         f"{name}.{joint.get('name')}": float(dynamics.get("damping", "0"))
         for name, path in files.items()
@@ -55,7 +55,7 @@ def _own_damping(files: dict[str, Path]) -> dict[str, float]:
 
 
 def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
-    """Return the names of the collision shapes by object and link, in file order, which is also PhysX's."""
+    """Return the collision shape names by object and link, in file order, which is also PhysX's order."""
     return {
         (path.stem, link.get("name", "")): [c.get("name", "") for c in link.findall("collision")]
         for path in folder.glob("*.urdf")
@@ -109,7 +109,7 @@ class SapienSession(rb.Session):
         }
 
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> rb.LinkReadback:
-        """Return the values of a link; a static body has no mass in PhysX."""
+        """Return the values of a link, without a mass for a static body, which has no mass in PhysX."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
@@ -125,13 +125,13 @@ class SapienSession(rb.Session):
         )
 
     def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
-        """Return the parent of a link; for the root of an articulation, SAPIEN does not report it."""
+        """Return the parent of a link, or None for the root of an articulation, for which SAPIEN does not report it."""
         if isinstance(link, physx.PhysxArticulationLinkComponent):
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
         return rb.FREE if hasattr(link, "mass") else rb.WORLD
 
     def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> rb.JointReadback:
-        """Return the values of a joint; its gains show if PhysX's one drive is a motor, damping or Coulomb friction."""
+        """Return the values of a joint, whose gains show if its drive is a motor, damping or Coulomb friction."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
         holds = stiffness == 0 and damping == self.told.holds

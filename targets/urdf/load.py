@@ -1,6 +1,6 @@
 """Load this world: ``load()`` returns the URDF and pose of each object; ``python load.py`` lists them.
 
-This script needs only Python: pass each file to your simulator's URDF reader, with its base fixed or free as stated.
+This script has no dependencies. Pass each file to your simulator's URDF reader, with the base fixed or free as listed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ HERE = Path(__file__).resolve().parent
 
 @dataclass(frozen=True)
 class Placed:
-    """One object: its URDF, fixed flag of the base, pose of the root link in the world, and joint positions.
+    """An object: its URDF, its base's fixed flag, the pose of its root link in the world, and its joint positions.
 
-    ``p`` is in [m]; ``q_wxyz`` is a unit quaternion, w first; ``joints`` are in [m or rad] by name.
+    ``p`` is in m, ``q_wxyz`` is a unit quaternion with w first, and ``joints`` contains positions [m or rad] by name.
     """
 
     urdf: Path
@@ -28,7 +28,7 @@ class Placed:
 
 
 def load() -> dict[str, Placed]:
-    """Return all objects by name. Raises FileNotFoundError for a missing file."""
+    """Return all objects by name; raise FileNotFoundError if a file is missing."""
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     world = {
         name: Placed(HERE / item["urdf"], item["fixed"], tuple(item["p"]), tuple(item["q_wxyz"]), item["joints"])

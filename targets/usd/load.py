@@ -15,7 +15,7 @@ def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage
     """Open the stage.
 
     Contact materials contain square roots for PhysX, which multiplies the two values of a pair. For a simulator that
-    averages, or uses the larger value, request the surfaces' own values; they are set in the session layer, and the
+    averages them or uses the larger value, request the surfaces' own values. They are set in the session layer, so the
     files are unchanged.
     """
     stage = Usd.Stage.Open(str(SCENE))

@@ -1,4 +1,4 @@
-"""OpenUSD read-back of the usd build, loaded by its own ``load.py``: the contents of the stage, without a simulator."""
+"""OpenUSD read-back of a usd build: its ``load.py`` opens the stage, whose contents are read without a simulator."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class UsdSession(rb.Session):
         return rb.Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
 
     def read(self) -> rb.WorldReadback:
-        """Return links, joints, and the gravity of the physics scene."""
+        """Return links, joints and the physics scene's gravity."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
         held = self._held()
@@ -74,9 +74,9 @@ class UsdSession(rb.Session):
         return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
 
     def _held(self) -> dict[str, str | None]:
-        """Return the parent of each link: a joint's other end, none for a rigid body, or the world for a static root.
+        """Return the parent of each link: a joint's other body, free for a rigid body, or the world for a static root.
 
-        For other static links, the stage does not state the parent.
+        For other static links, the stage does not contain the parent.
         """
         names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
         found: dict[str, str | None] = {}
@@ -94,7 +94,7 @@ class UsdSession(rb.Session):
         return found
 
     def _silent(self) -> tuple[str, ...]:
-        """Return the filtered pairs; a collider represents its link."""
+        """Return the filtered pairs of links; a static link is represented by its colliders."""
         names = {str(prim.GetPath()): name for name, prim in links(self.stage).items()}
         found = set()
         for path, name in names.items():
@@ -120,7 +120,7 @@ class UsdSession(rb.Session):
 
     def _collider(self, prim: Usd.Prim, X_LW: Pose) -> rb.ColliderReadback:
         kind = _KINDS.get(str(prim.GetTypeName()), "other")
-        # Gf stores the scale of a box separately from its rotation.
+        # Gf separates the scale of a box from its rotation.
         transform = Gf.Transform(self._cache.GetLocalToWorldTransform(prim))
         q = transform.GetRotation().GetQuat()
         X_LG = X_LW @ Pose.of(transform.GetTranslation(), [q.GetReal(), *q.GetImaginary()])
@@ -147,7 +147,7 @@ class UsdSession(rb.Session):
         )
 
     def _joint(self, name: str, prim: Usd.Prim) -> rb.JointReadback:
-        """Return the values of a joint: as authored for a single axis, and from the body poses for a ball joint."""
+        """Return the values of a joint as authored; the position of a ball joint is computed from the body poses."""
         if prim.GetTypeName() != "PhysicsSphericalJoint":
             return _joint(name, prim)
         ball = UsdPhysics.SphericalJoint(prim)
@@ -170,7 +170,7 @@ class UsdSession(rb.Session):
 
 
 def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """Return the prims of all links by qualified name; the first link of an object is its root."""
+    """Return the prims of all links by qualified name; the first link in each object is its root."""
     found = {}
     for item in _items(stage):
         if not item.GetChild("Model"):
@@ -186,12 +186,12 @@ def _items(stage: Usd.Stage) -> list[Usd.Prim]:
 
 
 def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    """Return the robots that are separate files, whose prims have their own names."""
+    """Return the robots that are references to their own files, whose prims keep their own names."""
     return {prim.GetName(): prim for prim in _items(stage) if prim.GetChild("Model")}
 
 
 def _own(material: UsdShade.Material, name: str, value: float) -> float:
-    """Return a surface's own coefficient, which is stored as its square root for the combine mode ``multiply``."""
+    """Return a surface's own coefficient; for the combine mode ``multiply``, the stage contains its square root."""
     mode = material.GetPrim().GetAttribute(f"physxMaterial:{name}CombineMode").Get()
     return value * value if mode == "multiply" else value
 
@@ -227,16 +227,16 @@ def _joint(name: str, prim: Usd.Prim) -> rb.JointReadback:
 
 
 OWN_DAMPING = "simfoundry:damping"
-"""The part of the damping of a joint with a motor that is the joint's own; only such joints have this attribute."""
+"""The attribute with a joint's own damping, excluding its motor; only joints with a motor have this attribute."""
 
 
 def own_damping(joint: Usd.Prim) -> float:
-    """Return the damping of a joint without that of its motor."""
+    """Return the damping of a joint, excluding that of its motor."""
     return _number(joint, OWN_DAMPING)
 
 
 def _law(name: str, prim: Usd.Prim) -> tuple[str, tuple[float, ...]]:
-    """Return the joint that is followed, with multiplier and offset [rad or m]."""
+    """Return a mimic joint's leader, its multiplier and its offset [rad or m]."""
     leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
     if not leaders:
         return "", ()

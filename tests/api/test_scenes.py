@@ -120,7 +120,7 @@ def test_objects_come_go_and_change_their_names(scene: sf.SceneDocument) -> None
         ),
         (lambda s: s.objects.add("cup", shape={"bux": [1]}), sf.SpecError, "unknown key `bux`"),
         (lambda s: s.objects.add("mug", mass=1), sf.SimfoundryError, "there is an object `mug` already"),
-        (lambda s: s.open("unity"), sf.SimfoundryError, "scenes cannot be run in `unity`; the simulators are: "),
+        (lambda s: s.open("unity"), sf.SimfoundryError, "scenes cannot be run in `unity`; available simulators: "),
         (lambda s: s.judge("OnTop(mog, desk)"), sf.SimfoundryError, "there is no `mog` in this scene"),
         (lambda s: s.compile("mujocoo", out="x"), sf.SimfoundryError, "did you mean `mujoco`?"),
         (lambda s: sf.load("gone.scene.yaml"), sf.SpecError, "No such file"),

@@ -102,7 +102,7 @@ def test_a_truncated_obj_is_a_finding_or_open(tmp_path: Path) -> None:
         (1000.0, 1.0, "it looks like millimeters: `scale: 0.001`"),
         (100.0, 10.0, "it looks like millimeters: `scale: 0.01`"),
         (1e9, 1.0, "set `scale`"),
-        (1e-4, 1.0, "set `scale`, the meters of one unit of the mesh"),
+        (1e-4, 1.0, "set `scale` to the length of one mesh unit in meters"),
     ],
 )
 def test_an_implausible_size_says_what_scale_would_help(tmp_path: Path, factor: float, scale: float, hint: str) -> None:
@@ -371,4 +371,4 @@ def test_a_texture_beyond_all_screens_is_refused(tmp_path: Path, monkeypatch: py
     Image.new("RGB", (16, 16), (200, 10, 10)).save(tmp_path / "a.png")
     assert read_mesh(path)[0].texture is not None
     Image.new("RGB", (17, 16), (200, 10, 10)).save(tmp_path / "a.png")
-    assert "17 x 16 pixels; at most 16 x 16 are read" in str(failure(path))
+    assert "17 x 16 pixels; the limit is 16 x 16" in str(failure(path))

@@ -132,7 +132,7 @@ def test_a_file_beyond_all_bounds_is_not_read(tmp_path: Path) -> None:
         stream.truncate(MAX_BYTES + 1)
     with pytest.raises(MeshError) as caught:
         mesh_facts(path)
-    assert (caught.value.code, caught.value.message) == ("SF301", "it.stl has 256 MiB; at most 256 are read")
+    assert (caught.value.code, caught.value.message) == ("SF301", "it.stl has 256 MiB; the limit is 256 MiB")
     with pytest.raises(MeshError) as caught:
         mesh_facts(tmp_path / "absent.stl")
     assert caught.value.code == "SF301"

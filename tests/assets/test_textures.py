@@ -42,11 +42,11 @@ def test_a_picture_that_is_missing_corrupt_or_outside_is_named(tmp_path: Path, k
     assert texture_faults(named(project, kind, "good skin.png"), project) == []
     for picture, wrong in (
         ("lost.png", "does not exist"),
-        ("cut.png", "is no picture that can be read"),
-        ("../out.png", "lies outside of the project"),
+        ("cut.png", "is not a readable image"),
+        ("../out.png", "is outside the project"),
     ):
         faults = texture_faults(named(project, kind, picture), project)
-        assert faults == [f"{owner} names the texture {picture}, which {wrong}"]
+        assert faults == [f"{owner} refers to the texture {picture}, which {wrong}"]
 
 
 def test_every_command_says_it(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_every_command_says_it(tmp_path: Path) -> None:
     named(tmp_path, "obj", "lost.png")
     scene = tmp_path / "a.scene.yaml"
     scene.write_text("simfoundry: scene/1\nname: a\nobjects: {cup: {asset: cup.obj, mass: 1}}\n")
-    said = "cup.mtl names the texture lost.png, which does not exist"
+    said = "cup.mtl refers to the texture lost.png, which does not exist"
     checked = run("check", scene)
     assert "warning[SF412]" in checked.err and said in checked.err
     assert said in run("show", scene).out

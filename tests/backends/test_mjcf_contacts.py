@@ -164,7 +164,7 @@ def test_a_scene_of_many_pairs_has_those_of_its_tables_and_says_which_it_has_not
     assert artifact.files["contacts.xml"].count(b"<pair class") <= MAX_PAIRS
     (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
     assert loss.element == "" and loss.size is not None and 0 < loss.size.value < 0.2
-    assert loss.reason.startswith("load.py makes all contacts exact; opened without it, ")
+    assert loss.reason.startswith("load.py makes all contacts exact; without it, ")
     model = load_files(scene)
     tables = {frozenset(names) for names in pairs_of(model) if "table.part_0" in names}
     assert len(tables) == 4 * 6 * HULLS  # each hull of each thing
@@ -205,9 +205,9 @@ def test_native_contacts_have_no_pairs_and_say_what_that_costs() -> None:
     artifact = compile_mjcf(scene, contacts="native")
     assert "contacts.xml" not in artifact.files and b"include" not in artifact.files["scene.xml"]
     (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
-    assert loss.reason == "MuJoCo takes the larger of a pair: 0.7 for 0.3 and 0.7; the scene specifies 0.458."
+    assert loss.reason == "MuJoCo uses the larger of a pair: 0.7 for 0.3 and 0.7; the scene specifies 0.458."
     assert loss.size == Size(0.242, "1")
-    with pytest.raises(InvalidSceneError, match="the option `contacts` must be `exact` or `native`, not `both`"):
+    with pytest.raises(InvalidSceneError, match="option `contacts` must be `exact` or `native`, not `both`"):
         compile_mjcf(scene, contacts="both")
 
 

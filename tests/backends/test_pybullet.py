@@ -69,7 +69,7 @@ def test_resistance_is_exact_against_one_friction_and_its_error_is_stated_agains
     wall = solid("wall", box(1, 0.1, 1), pose(0, 1, 0), friction=0.15, fixed=True)
     losses = {loss.path: loss.reason for loss in compile_pybullet(scene_of(ball, table, wall)).losses}
     assert losses["rolling_friction"].endswith(
-        "The worst pair is 41% off."
+        "The worst pair is off by 41%."
     )  # a factor of 2 to either side, by its root
     twins = [rough(solid(f"ball_{k}", Sphere(0.04), pose(k, 0, 1), friction=0.3), 0.0, 0.002) for k in range(2)]
     links = {name: item["links"]["body"] for name, item in world(scene_of(*twins))["objects"].items()}  # type: ignore[index]

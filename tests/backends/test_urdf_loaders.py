@@ -92,7 +92,7 @@ def test_what_cannot_be_told_apart_touches_and_is_said(
     (a, met_by_a), (b, met_by_b) = kinds[many[0]], kinds[many[1]]
     assert not (a & met_by_b or b & met_by_a)
     assert list(kinds.values()).count((1, 2**32 - 1)) == 9
-    assert "too few categories for 40 groups of excluded links; 9 still collide" in capsys.readouterr().out
+    assert "too few categories for 40 groups of excluded links; 9 of them still collide" in capsys.readouterr().out
 
 
 def test_a_joint_may_follow_through_one_with_the_same_leader(sapien_loader: ModuleType) -> None:

@@ -113,7 +113,7 @@ def test_losses_are_stated() -> None:
     losses = {loss.path: loss for loss in compile_usd(full_scene()).losses}
     assert sorted(losses) == ["friction", "lamp", "restitution"]
     assert all(loss.fidelity is Fidelity.APPROXIMATED for loss in losses.values())
-    assert "0.592 for 0.35" in losses["friction"].reason
+    assert "0.592 instead of 0.35" in losses["friction"].reason
     frictionless = solid("ball", Sphere(0.03), pose(0, 0, 1), friction=1.0)
     assert compile_usd(scene_of(frictionless)).losses == ()
 

@@ -164,7 +164,7 @@ def test_depth_that_does_not_fit_is_refused_and_nothing_is_written(tmp_path: Pat
     depth[0, 0] = 7.0
     frame = Frame(np.zeros((2, 3, 3), dtype=np.uint8), depth, np.eye(3))
     with pytest.raises(
-        ValueError, match=r"1 to 7 m does not fit 16 bits at 0.0001 m a count.*0 to 6.554 m; give a larger"
+        ValueError, match=r"1 to 7 m does not fit in 16 bits with a depth_scale of 0.0001 m.*6.554 m; use a larger"
     ):
         write_capture(tmp_path / "c", frame)
     assert not (tmp_path / "c").exists()

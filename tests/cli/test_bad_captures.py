@@ -71,8 +71,8 @@ BAD = {
     "elsewhere": (_elsewhere, "SF204", ":5:12", "is outside the project"),
     "name": (_name, "SF106", ":2:7", "My Desk!"),
     "channels": (_three_channels, "SF501", ":7:14", "3 channels"),
-    "cut": (_cut, "SF501", ":5:12", "cannot be read"),
-    "no plane": (_random_depth, "SF503", ":4:3", "no flat surface"),
+    "cut": (_cut, "SF501", ":5:12", "could not be read"),
+    "no plane": (_random_depth, "SF503", ":4:3", "could not find a flat surface"),
     "no object": (_nothing, "SF504", ":4:3", "nothing stands out"),
 }
 
@@ -175,7 +175,7 @@ def test_the_capture_itself_is_never_replaced(tmp_path: Path, inside: str) -> No
     folder = write(tmp_path / "capture" / inside)
     before = tree(tmp_path)
     done = run("capture", folder, "-o", tmp_path / "capture", "--force")
-    assert done.code == 2 and "holds the capture itself" in done.err
+    assert done.code == 2 and "contains the capture itself" in done.err
     assert tree(tmp_path) == before
 
 

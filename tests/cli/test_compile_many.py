@@ -217,8 +217,8 @@ def test_a_crash_of_the_decomposition_is_a_finding_of_the_object(
     monkeypatch.setattr(convex, "FUNCTION", "tests.cli.test_compile_many:crash")
     done = run("compile", "a.scene.yaml", "-o", "build", "-t", "mjcf")
     assert done.code == 2
-    done.one_line("a.scene.yaml:6:", "error[SF301]", "one.obj cannot be decomposed: CoACD crashed (SIGSEGV)")
-    done.one_line("a.scene.yaml:7:", "two.obj cannot be decomposed")
+    done.one_line("a.scene.yaml:6:", "error[SF301]", "one.obj could not be decomposed: CoACD crashed (SIGSEGV)")
+    done.one_line("a.scene.yaml:7:", "two.obj could not be decomposed")
     assert not (project / "build").exists()
 
 

@@ -58,7 +58,7 @@ def test_what_exists_is_replaced_only_by_force(cup: Path, tmp_path: Path) -> Non
     out = tmp_path / "a.asset.yaml"
     out.write_text("mine")
     result = _run(cup, "-o", out)
-    assert "exists; write elsewhere, or replace it with --force" in str(result.exception)
+    assert "already exists; choose another output or replace it with --force" in str(result.exception)
     assert out.read_text() == "mine"
     assert _run(cup, "-o", out, "--force").return_value == 0
     assert out.read_text() != "mine"
@@ -73,7 +73,7 @@ def test_one_bad_file_of_many_stops_no_other(cup: Path, tmp_path: Path) -> None:
     result = _run(tmp_path / "in", "-o", out)
     assert result.return_value == 2
     bad, good, total = result.output.splitlines()
-    assert bad.startswith(f"{tmp_path}/in/bad.urdf") and "refused: 1: it is not XML" in bad
+    assert bad.startswith(f"{tmp_path}/in/bad.urdf") and "refused: 1: the file is not valid XML" in bad
     assert good.endswith("1 body, 1 link; 1 not as in the file")
     assert total == "1 of 2 imported"
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.yaml")) == ["deep/good.asset.yaml"]
@@ -82,7 +82,7 @@ def test_one_bad_file_of_many_stops_no_other(cup: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("-o", "a.yaml"), "the output is called NAME.scene.yaml or NAME.asset.yaml"),
+        (("-o", "a.yaml"), "the output file must be named NAME.scene.yaml or NAME.asset.yaml"),
         (("-o", "a.scene.yaml", "--package", "x"), "not NAME=PATH"),
     ],
 )

@@ -134,7 +134,7 @@ def test_an_array_that_claims_more_than_the_disk_is_a_finding(tmp_path: Path) ->
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000), }".ljust(117) + "\n"
     (folder / "depth.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode())
     done = run("capture", folder, "-o", tmp_path / "out")
-    assert done.code == 2 and "depth.npy cannot be read as a picture" in done.err and "Traceback" not in done.err
+    assert done.code == 2 and "depth.npy could not be read as an image" in done.err and "Traceback" not in done.err
 
 
 def simfoundry(*args: str, before: str = "", **env: str) -> Done:

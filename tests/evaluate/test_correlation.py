@@ -146,10 +146,10 @@ def test_missing_rollouts_and_invalid_answers_are_said_and_engines_are_tables(tm
     rows.append({**row, "policy": "pi0", "from": "stack"})
     (tmp_path / "results.json").write_text(json.dumps({"scores": rows}))
     result = run("correlate", RESULTS / "real.csv", tmp_path)
-    assert "pi0 on stack_dishware: 2 of 25 rollouts are missing; the rate is that of the others" in result.out, (
+    assert "pi0 on stack_dishware: 2 of 25 rollouts are missing; the rate does not include them" in result.out, (
         result.err
     )
-    assert "pi05 on stack_dishware: 3 rollouts failed by an invalid answer" in result.out
+    assert "pi05 on stack_dishware: 3 rollouts failed because of an invalid response" in result.out
     both = rows + [{**r, "engine": "pybullet"} for r in rows]
     (tmp_path / "results.json").write_text(json.dumps({"scores": both}))
     result = run("correlate", RESULTS / "real.csv", tmp_path)
@@ -161,14 +161,14 @@ def test_missing_rollouts_and_invalid_answers_are_said_and_engines_are_tables(tm
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("task,rate\na,0.1\n", ":1: the header must name task, policy and rate"),
+        ("task,rate\na,0.1\n", ":1: the header must contain task, policy and rate"),
         ("task,policy,rate\na,p,1.2\n", ":2: 1.2 is not a success rate"),
         ("# one\ntask,policy,rate\na,p,x\n", ":3: rate is `x`, which is not a number"),
         ("task,policy,rate\na,p,nan\n", "not finite"),
         ("task,policy,rate\na,p,0.1\na,p,0.2\n", ":3: p on a is a duplicate"),
         ("task,policy,successes,rollouts\na,p,3,0\n", "rollouts must be a whole number above 0"),
-        ("task,policy,successes,rollouts\na,p,3,\n", "give a rate, or successes and rollouts"),
-        ("task,policy,rate\n", "holds no scores"),
+        ("task,policy,successes,rollouts\na,p,3,\n", "either a rate, or successes and rollouts are required"),
+        ("task,policy,rate\n", "contains no scores"),
     ],
 )
 def test_a_bad_table_is_answered_with_its_line(tmp_path: Path, text: str, said: str) -> None:
@@ -200,7 +200,7 @@ def test_tables_with_nothing_in_common_are_an_error_and_strangers_are_named(tmp_
     other = tmp_path / "other.csv"
     other.write_text("task,policy,rate\nelse,pi0,50%\n")
     result = run("correlate", RESULTS / "real.csv", other)
-    assert result.code == 2 and "no pair of task and policy is in both tables" in result.err
+    assert result.code == 2 and "no pair of task and policy in common" in result.err
     other.write_text("task,policy,rate\nstack_dishware,pi0,50%\nstack_dishware,pi05,60%\n")
     assert "not in both tables" in run("correlate", RESULTS / "real.csv", other).out
 

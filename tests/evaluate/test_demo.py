@@ -79,5 +79,5 @@ def test_where_nothing_can_be_grasped_the_arm_does_nothing(scene: Path, tmp_path
     pytest.importorskip("mink", reason="the extra `expert` is not installed")
     scene.write_text(SCENE.replace("box: [0.04, 0.04, 0.04]", "box: [0.2, 0.2, 0.2]"))
     done = demonstrate(scene, tmp_path / "arm")
-    assert done.reason == "no object here is small enough to be grasped and placed" and done.strip is None
+    assert done.reason == "no object in the scene is small enough for the arm to grasp and place" and done.strip is None
     assert (tmp_path / MARKER).is_file()

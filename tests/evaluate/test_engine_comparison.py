@@ -38,7 +38,7 @@ def test_starts_that_end_differently_are_named() -> None:
     rows = both(25, range(25), [*range(10), 20])
     (one,) = compare_engines(rows)
     assert one.differing == (*range(10, 20), 21, 22, 23, 24) and one.p == pytest.approx(2 / 2**14)
-    assert one.sentence.startswith("a with p: mujoco and pybullet disagree: 25 and 11 of the same 25 starts succeed")
+    assert one.sentence.startswith("a with p: mujoco and pybullet disagree: 25 and 11 of the same 25 initial")
     (row,) = results(rows)["engines"]
     assert row["disagrees"] and row["first_only"] == one.differing and row["second_only"] == ()
 

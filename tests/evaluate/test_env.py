@@ -99,9 +99,9 @@ def test_a_step_can_be_done_alone(env: TaskEnv) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"start": 3}, "no start 3; there are 3, counted from 0"),
+        ({"start": 3}, "start 3 does not exist; `start` must be between 0 and 2"),
         ({"subtask": "awy"}, "did you mean `away`"),
-        ({"cell": 3}, "reset has no option `cell`; there are: start, subtask"),
+        ({"cell": 3}, "unknown reset option `cell`; available options: start, subtask"),
     ],
 )
 def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, object], message: str) -> None:
@@ -129,13 +129,15 @@ def test_an_action_that_is_none_moves_nothing(env: TaskEnv, action: np.ndarray, 
 
 
 def test_slips_in_making_one_are_refused(push: Task) -> None:
-    with pytest.raises(SimfoundryError, match="scenes cannot be run in `mujuco`; the simulators are: "):
+    with pytest.raises(SimfoundryError, match="scenes cannot be run in `mujuco`; available simulators: "):
         TaskEnv(push, engine="mujuco")
-    with pytest.raises(SimfoundryError, match="no render mode `human`"):
+    with pytest.raises(SimfoundryError, match="unknown render mode `human`"):
         TaskEnv(push, render_mode="human")
     with pytest.raises(SimfoundryError, match=r"requests camera `frnt`.*did you mean `front`"):
         TaskEnv(push, cameras={"frnt": (8, 8)})
-    with pytest.raises(SimfoundryError, match=r"no action space `torque`; there are: joint_position, joint_velocity"):
+    with pytest.raises(
+        SimfoundryError, match=r"unknown action space `torque`; available: joint_position, joint_velocity"
+    ):
         TaskEnv(push, action_space="torque")
 
 

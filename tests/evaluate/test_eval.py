@@ -163,14 +163,14 @@ def test_a_step_alone_and_the_rest_from_a_step(bench: Path, tmp_path: Path) -> N
 
 def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Path) -> None:
     result = run("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done, "--seed", "3")
-    assert result.code == 2 and "another evaluation: its start is" in result.err
+    assert result.code == 2 and "a different evaluation: its start is" in result.err
 
 
 def test_a_folder_of_an_earlier_version_is_refused(bench: Path, tmp_path: Path) -> None:
     (tmp_path / "rollouts/push/still").mkdir(parents=True)
     (tmp_path / "rollouts/push/still/000.json").write_text("{}")
     result = run("eval", bench / "push.task.yaml", *_policies(bench)[2:], "-n", "1", "-o", tmp_path, "--no-video")
-    assert result.code == 2 and "which had no folder per engine; choose another folder" in result.err
+    assert result.code == 2 and "did not use a separate folder per engine; choose a different folder" in result.err
     assert not list((tmp_path / "rollouts").glob("*/*/*/*"))  # said before the first rollout
 
 
@@ -179,7 +179,7 @@ def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, t
     nobody = "simfoundry: policy/1\nname: gone\nprotocol: openpi\naddress: localhost:1\naction_space: joint_position\n"
     (tmp_path / "gone.policy.yaml").write_text(f"{nobody}horizon: 8\ncameras: {{}}\nretries: 0\ntimeout: 0.2\n")
     result = run(*task, "-p", tmp_path / "gone.policy.yaml", "-p", _policies(bench)[3])
-    assert result.code == 1 and "gone, rollout 0 is missing: no server answers at" in result.err
+    assert result.code == 1 and "gone, rollout 0 is missing: could not reach a server at" in result.err
     assert "5 rollouts are missing" in result.err
     assert len(list((tmp_path / "rollouts/push/gone/mujoco").glob("*.missing.json"))) == 3  # then it was given up
     scores = _results(tmp_path)["scores"]
@@ -191,7 +191,7 @@ def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, t
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
     task = bench / "push.task.yaml"
     for arguments, said in [
-        ((task, "-p", "nothing"), "`nothing` is not a policy"),
+        ((task, "-p", "nothing"), "`nothing` is not a valid policy"),
         ((task, "-p", "random", "-p", "random"), "two policies have the label `random`"),
         ((task, task, "-p", "random"), "two tasks have the name `push`"),
         ((bench / "none", "-p", "random"), "does not exist"),
@@ -226,7 +226,7 @@ def test_the_page_says_what_was_run_and_why_rollouts_failed(done: Path) -> None:
     for label in ("0.33", "0.31", "x [m]", "0.02", "-0.02", "y [m]"):  # the block's region
         assert f">{label}</text>" in text
     record = next(r for r in _results(done)["rollouts"] if r["policy"] == "still")
-    assert "block" in record["unmet"] and f"not done after 45 control steps; at the end: {record['unmet']}" in text
+    assert "block" in record["unmet"] and f"not completed after 45 control steps; at the end: {record['unmet']}" in text
     assert '<article class="whole">' in text  # grids and tables use the whole window
 
 
@@ -267,7 +267,7 @@ def test_a_goal_that_cannot_be_judged_is_a_sentence(tmp_path: Path) -> None:
     done = run("eval", tmp_path / "a.task.yaml", "-p", "random", "-n", "1", "--no-video", "-o", tmp_path / "out")
     assert (done.code, done.err) == (
         2,
-        "Error: `desk` has no cavity, so nothing can be inside: its colliders enclose no hollow\n",
+        "Error: `desk` has no cavity, so nothing can be inside it: its colliders do not enclose any space\n",
     )
 
 

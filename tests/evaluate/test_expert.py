@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from simfoundry.evaluate.expert.policy import Skill, steps
+from simfoundry.evaluate.expert.skills import until_height
 from simfoundry.evaluate.expert.worker import HAND, JOINT, paced
 from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.crossings import crossings, met
@@ -56,6 +57,16 @@ def test_a_path_is_gone_from_rest_to_rest_within_the_speeds() -> None:
     assert np.abs(steps_taken).max() <= JOINT / hz * 1.01
     assert np.abs(0.5 * steps_taken[:, 0]).max() <= HAND / hz * 1.01
     assert np.abs(steps_taken[[0, -1]]).max() < 0.25 * np.abs(steps_taken).max()
+
+
+@pytest.mark.parametrize("height, end", [(0.3, [0.35]), (0.02, [0.07]), (0.5, [0.4]), (0.0, [0.06])])
+def test_a_path_down_ends_where_the_object_is_released(height: float, end: list[float]) -> None:
+    """A hand at the height of its only joint holds an object 5 cm below it."""
+    path = [np.array([z]) for z in (0.4, 0.2, 0.06)]
+    cut = until_height(path, lambda q: Pose.of([0.0, 0.0, q[0]]), Pose.of([0.0, 0.0, -0.05]), height)
+    assert cut[-1] == pytest.approx(end) and [q.tolist() for q in cut[:-1]] == [
+        q.tolist() for q in path[: len(cut) - 1]
+    ]
 
 
 @pytest.mark.parametrize(

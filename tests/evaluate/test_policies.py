@@ -88,27 +88,27 @@ def test_what_is_no_recording(tmp_path: Path) -> None:
     assert "the name of a recording must end with .npy, .npz or .json" in refused(
         stored(tmp_path, ".json").rename(tmp_path / "a.txt")
     )
-    assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
-    assert "not actions of (steps, numbers)" in refused(stored(tmp_path, ".json", []))
+    assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".npy", ACTIONS[0]))
+    assert "but actions have shape (steps, numbers)" in refused(stored(tmp_path, ".json", []))
     assert "not finite" in refused(stored(tmp_path, ".npy", ACTIONS * np.nan))
-    assert "actions of `torque`" in refused(stored(tmp_path, ".npz", action_space="torque"))
+    assert "unknown action space `torque`" in refused(stored(tmp_path, ".npz", action_space="torque"))
     for content in (b"", b"PK\x03\x04", pickle.dumps([1]), b"\x93NUMPY\x01\x00\xff\xff", b"[", b"{}"):
         for suffix in (".npy", ".npz", ".json"):
             (tmp_path / f"bad{suffix}").write_bytes(content)
-            assert "does not hold recorded actions" in refused(tmp_path / f"bad{suffix}"), (content, suffix)
+            assert "does not contain recorded actions" in refused(tmp_path / f"bad{suffix}"), (content, suffix)
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000, 100000), }\n"
     huge = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
     (tmp_path / "huge.npy").write_bytes(huge)
-    assert "does not hold recorded actions" in refused(tmp_path / "huge.npy")
+    assert "does not contain recorded actions" in refused(tmp_path / "huge.npy")
     objects = tmp_path / "objects.npy"
     np.save(objects, np.array([{}], dtype=object), allow_pickle=True)
-    assert "does not hold recorded actions" in refused(objects)
+    assert "does not contain recorded actions" in refused(objects)
 
 
 def test_a_recording_of_another_robot(tmp_path: Path) -> None:
     policy = load_replay(stored(tmp_path, ".npy"))
     policy.reset("", 0)
-    with pytest.raises(PolicyError, match="has 8 numbers per action, but the robots take 16"):
+    with pytest.raises(PolicyError, match="has 8 numbers per action, but the robots need 16"):
         policy.infer(observation(0, robots=2))
 
 
@@ -150,15 +150,15 @@ def test_the_cameras_of_the_short_form_are_those_of_the_droid_cell(protocol: str
     [
         (
             "openpi:localhost:8000",
-            "the meaning of the arm's numbers: write `openpi:localhost:8000?action_space=joint_position`",
+            "joint positions or velocities; use `openpi:localhost:8000?action_space=joint_position`",
         ),
         (
             "openpi",
-            "the meaning of the arm's numbers: write `openpi:localhost?action_space=joint_position`",
+            "joint positions or velocities; use `openpi:localhost?action_space=joint_position`",
         ),
-        ("replay:", "name the recording to replay"),
-        ("pi0:localhost", "`pi0:localhost` is not a policy: give `random`"),
-        ("", "`` is not a policy"),
+        ("replay:", "`replay` requires a recording"),
+        ("pi0:localhost", "`pi0:localhost` is not a valid policy; use `random`"),
+        ("", "`` is not a valid policy"),
         ("openpi:http://a?action_space=joint_position", "start with `ws://` or `wss://`, not `http://`"),
         ("openpi:a b?action_space=joint_position", "`a b` is not a valid address"),
         ("openpi:a:99999?action_space=joint_position", "port 99999 is invalid"),
@@ -282,7 +282,7 @@ def test_a_feature_of_a_checkpoint() -> None:
     assert state.dtype == np.float32
     with pytest.raises(ValueError, match=r"needs `observation.state` of shape \[7\], not \[8\]"):
         lerobot.feature({"observation.state": np.arange(8.0)}, "observation.state", [7])
-    with pytest.raises(ValueError, match=r"needs `observation.state`, but the query has prompt"):
+    with pytest.raises(ValueError, match=r"needs `observation.state`, but the request contains prompt"):
         lerobot.feature({"prompt": "x"}, "observation.state", [7])
 
 

@@ -96,12 +96,12 @@ def test_pictures_of_earlier_steps_are_those_of_earlier_questions() -> None:
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"video": config(["front_view"], [0])}, "the image `front_view`, which is missing in `cameras` of tested"),
+        ({"video": config(["front_view"], [0])}, "the image `front_view`, which is missing from `cameras` in tested"),
         ({"state": config(["left_hand"], [0])}, "needs the state `left_hand`; this client supports joint_position"),
-        ({"action": config(["eef_9d"], [0])}, "actions have no `joint_position`, only eef_9d"),
-        ({"video": config(["wrist_image_left"], [-15, 0])}, "looks 15 steps back, but `horizon: 8` makes no query"),
-        ({"language": {}}, "`modality_keys` of the server's `language` is not a list of names"),
-        ({"state": config(["joint_position"], [])}, "`delta_indices` of the server's `state` is not a list of steps"),
+        ({"action": config(["eef_9d"], [0])}, "actions do not contain `joint_position`, only eef_9d"),
+        ({"video": config(["wrist_image_left"], [-15, 0])}, "15 steps back, but with `horizon: 8` there is no request"),
+        ({"language": {}}, "`modality_keys` in the server's `language` is not a list of names"),
+        ({"state": config(["joint_position"], [])}, "`delta_indices` in the server's `state` is not a list of steps"),
         ({"action": None}, "does not describe its `action`"),
     ],
 )  # fmt: skip
@@ -126,7 +126,7 @@ def action(**parts: Any) -> bytes:
     [
         (msgpack.packb({"error": "CUDA out of memory"}), "failed: CUDA out of memory"),
         (b"ERROR", "failed without giving a reason"),
-        (b"\xc1", "cannot be read: it is not msgpack"),
+        (b"\xc1", "it is not valid msgpack"),
         (msgpack.packb([]), "a `list`, not a mapping"),
         (msgpack.packb(7), "a `int`, not a mapping"),
         (action(joint_position=None), "`joint_position` is a `NoneType`"),
@@ -158,7 +158,7 @@ def test_an_answer_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch)
         asked = policy(address)
         asked.reset(GOOD, 0)
         with pytest.raises(
-            PolicyError, match="closed the connection: it has stopped, or its answer is larger than 1 MiB"
+            PolicyError, match="closed the connection: either it has stopped, or its response is larger than 1 MiB"
         ):
             asked.infer(observation(0))
         asked.close()
@@ -169,7 +169,7 @@ def test_a_server_that_does_not_answer() -> None:
     with serving(server) as address:
         asked = policy(address, warm_up=0.3)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match=r"did not answer within 0.3 s; raise `warm_up`"):
+        with pytest.raises(PolicyError, match=r"did not respond within 0.3 s; increase `warm_up`"):
             asked.infer(observation(0))
         server.answers.clear()
         asked.reset(GOOD, 1)
@@ -198,7 +198,7 @@ def test_pings_are_repeated_as_often_as_the_document_says() -> None:
         assert (asked.record.reconnects, asked.record.connections) == (2, 1)
     with serving(GrootServer(silent_pings=9)) as address:
         asked = policy(address, retries=1)
-        with pytest.raises(PolicyError, match=r"no server answers at tcp://127.0.0.1:[0-9]+ after 1 attempts"):
+        with pytest.raises(PolicyError, match=r"could not reach a server at tcp://127.0.0.1:[0-9]+ after 1 attempts"):
             asked.reset(GOOD, 0)
         asked.close()
 
@@ -219,6 +219,6 @@ def test_one_arm_only() -> None:
     with serving(GrootServer()) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match="moves one arm, but the task has 2 robots"):
+        with pytest.raises(PolicyError, match="controls one arm, but the task has 2 robots"):
             asked.infer(observation(0, robots=2))
         asked.close()

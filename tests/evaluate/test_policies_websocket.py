@@ -112,12 +112,12 @@ GOOD_ANSWER = OPENPI_CODEC.pack({"actions": CHUNK})
     ("answer", "words"),
     [
         ("Traceback (most recent call last):\n  File\nValueError: no model\x07\n", "failed: ValueError: no model?"),
-        ("", "failed: it gives no reason"),
-        (b"\xc1", "cannot be read: it is not msgpack"),
-        (b"", "cannot be read: it is not msgpack"),
-        (OPENPI_CODEC.pack([1, 2]), "has no `actions`: a `list`"),
-        (OPENPI_CODEC.pack({"action": CHUNK}), "has no `actions`: action"),
-        (OPENPI_CODEC.pack({"actions": CHUNK.tolist()}), "a `list`, not with an array"),
+        ("", "failed: no reason was given"),
+        (b"\xc1", "it is not valid msgpack"),
+        (b"", "it is not valid msgpack"),
+        (OPENPI_CODEC.pack([1, 2]), "does not contain `actions`: a `list`"),
+        (OPENPI_CODEC.pack({"action": CHUNK}), "does not contain `actions`: action"),
+        (OPENPI_CODEC.pack({"actions": CHUNK.tolist()}), "a `list` instead of an array"),
         (OPENPI_CODEC.pack({"actions": CHUNK[:, :7]}), "got (15, 7)"),
         (
             OPENPI_CODEC.pack({"actions": np.where(np.isclose(CHUNK, CHUNK[2, 3]), np.nan, CHUNK)}),
@@ -125,7 +125,7 @@ GOOD_ANSWER = OPENPI_CODEC.pack({"actions": CHUNK})
         ),
         (
             msgpack.packb({"actions": {b"__ndarray__": True, b"data": b"x", b"dtype": "|O", b"shape": [1, 8]}}),
-            "cannot be read: it holds an array of `object`",
+            "it contains an array of `object`",
         ),
     ],
 )
@@ -146,7 +146,7 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
     with handled(answering(bytes(2**17))) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
         policy.reset(GOOD, 0)
-        with pytest.raises(InvalidAnswerError, match="is larger than 0 MiB"):
+        with pytest.raises(InvalidAnswerError, match="exceeds 0 MiB"):
             policy.infer(observation(0))
         assert (policy.record.reconnects, policy.record.failures) == (0, 1)
 
@@ -155,8 +155,8 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
     ("greeting", "words"),
     [
         ("hello", "failed: hello"),
-        (OPENPI_CODEC.pack([1]), "sent a `list` first, not a mapping"),
-        (b"\xc1", "cannot be read"),
+        (OPENPI_CODEC.pack([1]), "must be a mapping, not a `list`"),
+        (b"\xc1", "could not parse the response"),
     ],
 )
 def test_a_server_that_begins_otherwise(greeting: bytes | str, words: str) -> None:
@@ -181,7 +181,7 @@ def test_a_server_that_does_not_answer_in_time() -> None:
         policy = OpenpiPolicy(spec_of("openpi", address, timeout=0.2, warm_up=4.0))
         policy.reset(GOOD, 0)
         policy.infer(observation(0))
-        with pytest.raises(PolicyError, match=r"did not answer within 0.2 s; raise `timeout`"):
+        with pytest.raises(PolicyError, match=r"did not respond within 0.2 s; increase `timeout`"):
             policy.infer(observation(1))
         asleep.set()
         assert policy.record.reconnects == 0  # waiting once is enough
@@ -192,7 +192,7 @@ def test_nobody_is_there() -> None:
     with pytest.raises(PolicyError) as raised:
         policy.reset(GOOD, 0)
     assert str(raised.value) == (
-        "no server answers at ws://127.0.0.1:1 (connection refused) after 2 attempts to connect again"
+        "could not reach a server at ws://127.0.0.1:1 (connection refused) after 2 attempts to connect again"
     )
     assert (policy.record.reconnects, policy.record.connections, policy.record.failures) == (2, 0, 1)
 
@@ -205,7 +205,7 @@ def test_something_else_is_there() -> None:
 
     with running(plain(lambda c: None, "127.0.0.1", 0, process_request=refuse)) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
-        with pytest.raises(PolicyError, match=r"is not a policy server \(it answered 404\)"):
+        with pytest.raises(PolicyError, match=r"is not a policy server \(it responded with status 404\)"):
             policy.reset(GOOD, 0)
 
 
@@ -277,7 +277,7 @@ def test_a_server_that_is_started_again_loses_no_rollout_but_its_own() -> None:
                 done.append(str(error))
         policy.close()
     assert done == ["done", done[1], "done"]
-    assert done[1].endswith("closed the connection (1000), and with it the server's state of this rollout")
+    assert done[1].endswith("closed the connection (1000), so the server's state for this rollout is lost")
     assert policy.record.errors == [done[1]]
 
 
@@ -296,9 +296,9 @@ SOUND = {
     [
         (
             {"action_space": "joint_velocity"},
-            "acts by `joint_velocity`, but the document says `action_space: joint_position`",
+            "action space is `joint_velocity`, but the document says `action_space: joint_position`",
         ),
-        ({"action_space": "cartesian_position"}, "acts by `cartesian_position`"),
+        ({"action_space": "cartesian_position"}, "action space is `cartesian_position`"),
         ({"image_resolution": [180, 320]}, "needs images of 320 × 180, but `observation/exterior_image_0_left` has"),
         ({"needs_stereo_camera": True}, "needs the image `observation/exterior_image_0_right`"),
     ],

@@ -56,25 +56,25 @@ class Trap:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (array(dtype="|O", data=pickle.dumps(Trap())), "not of plain numbers"),
-        (array(dtype="<c8"), "not of plain numbers"),
-        (array(dtype="<M8[s]"), "not of plain numbers"),
-        (array(dtype="f4,f4"), "not of plain numbers"),
-        (array(dtype="nonsense"), "an unknown type"),
-        (array(dtype=[["a", "<f4"]]), "an unknown type"),
-        (array(shape=[10**6, 10**6]), "in 32 bytes"),
+        (array(dtype="|O", data=pickle.dumps(Trap())), "only plain numbers are allowed"),
+        (array(dtype="<c8"), "only plain numbers are allowed"),
+        (array(dtype="<M8[s]"), "only plain numbers are allowed"),
+        (array(dtype="f4,f4"), "only plain numbers are allowed"),
+        (array(dtype="nonsense"), "of unknown type"),
+        (array(dtype=[["a", "<f4"]]), "of unknown type"),
+        (array(shape=[10**6, 10**6]), "does not fit 32 bytes"),
         (array(shape=[-1, 8]), "the invalid shape [-1, 8]"),
         (array(shape=[1] * 40), "the invalid shape"),
         (array(shape="18"), "without data or shape"),
         (array(data="text"), "without data or shape"),
         (msgpack.packb({b"__npgeneric__": True, b"data": 300, b"dtype": "|u1"}), "out of range for `uint8`"),
-        (msgpack.packb({b"__npgeneric__": True, b"data": b"x", b"dtype": "<f4"}), "an unknown type"),
-        (b"\x91" * 100_000 + b"\x00", "not msgpack"),
-        (b"\xdd\xff\xff\xff\xff", "not msgpack"),
-        (b"\xc6\xff\xff\xff\xff", "not msgpack"),
-        (b"\x80\x80", "not msgpack"),
-        (b"", "not msgpack"),
-        (pickle.dumps(Trap()), "not msgpack"),
+        (msgpack.packb({b"__npgeneric__": True, b"data": b"x", b"dtype": "<f4"}), "of unknown type"),
+        (b"\x91" * 100_000 + b"\x00", "not valid msgpack"),
+        (b"\xdd\xff\xff\xff\xff", "not valid msgpack"),
+        (b"\xc6\xff\xff\xff\xff", "not valid msgpack"),
+        (b"\x80\x80", "not valid msgpack"),
+        (b"", "not valid msgpack"),
+        (pickle.dumps(Trap()), "not valid msgpack"),
     ],
 )
 def test_what_is_no_array_is_refused(data: bytes, words: str) -> None:
@@ -98,20 +98,20 @@ def pickled() -> bytes:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (msgpack.packb({"__ndarray_class__": True, "as_npy": pickled()}), "not of plain numbers"),
-        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}"), "in 8 bytes"),
+        (msgpack.packb({"__ndarray_class__": True, "as_npy": pickled()}), "only plain numbers are allowed"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}"), "does not fit 8 bytes"),
         (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}"), "the invalid shape"),
         (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': 1}"), "without a shape"),
-        (npy(b"{'descr': '<f8', 'fortran_order': False}"), "cannot be read"),
-        (npy(b"{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,)}"), "an unknown type"),
-        (npy(b"__import__('os').abort()"), "cannot be read"),
-        (npy(b"(" * 9000), "cannot be read"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False}"), "could not be parsed"),
+        (npy(b"{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,)}"), "of unknown type"),
+        (npy(b"__import__('os').abort()"), "could not be parsed"),
+        (npy(b"(" * 9000), "could not be parsed"),
         (npy(b" " * 20_000), "too long"),
         (npy(b"{}", version=3), "not a NumPy file"),
         (msgpack.packb({"__ndarray_class__": True, "as_npy": b"PK\x03\x04"}), "not a NumPy file"),
         (msgpack.packb({"__ndarray_class__": True}), "not a NumPy file"),
         (msgpack.packb({"__ModalityConfig_class__": True, "as_json": "{"}), "without a description"),
-        (b"\x91" * 100_000 + b"\x00", "not msgpack"),
+        (b"\x91" * 100_000 + b"\x00", "not valid msgpack"),
     ],
 )
 def test_what_is_no_array_of_groot_is_refused(data: bytes, words: str) -> None:
@@ -187,16 +187,16 @@ def broken(step: int, column: int, value: float) -> np.ndarray[Any, Any]:
         (CHUNK[None], "got (1, 15, 8)"),
         (CHUNK[:, :7], "got (15, 7)"),
         (np.zeros((15, 32)), "got (15, 32)"),
-        (CHUNK[:5], "5 actions, but its `horizon` is 8; lower it to 5"),
+        (CHUNK[:5], "5 actions, but its `horizon` is 8; lower `horizon` to 5"),
         (CHUNK[:0], "got (0, 8)"),
         (broken(3, 2, np.nan), "must be finite; number 2 of action 3 is nan"),
         (broken(0, 7, np.inf), "number 7 of action 0 is inf"),
         (broken(14, 1, -np.inf), "number 1 of action 14 is -inf"),
         (CHUNK.astype(bool), "an array of `bool`"),
         (CHUNK.astype("U8"), "an array of `<U8`"),
-        (CHUNK.tolist(), "a `list`, not with an array"),
-        (None, "a `NoneType`, not with an array"),
-        ({"a": 1}, "a `dict`, not with an array"),
+        (CHUNK.tolist(), "a `list` instead of an array"),
+        (None, "a `NoneType` instead of an array"),
+        ({"a": 1}, "a `dict` instead of an array"),
     ],
 )
 def test_an_answer_that_is_no_chunk_is_told(answer: Any, words: str) -> None:
@@ -208,7 +208,7 @@ def test_an_answer_that_is_no_chunk_is_told(answer: Any, words: str) -> None:
 def test_a_missing_picture_is_told_and_no_other_is_taken() -> None:
     shown = observation()
     less = {name: image for name, image in shown.images.items() if name != "wrist"}
-    with pytest.raises(PolicyError, match="there is no image of the camera `wrist`, which tested needs as"):
+    with pytest.raises(PolicyError, match="tested needs an image from camera `wrist` as"):
         pictures(spec_of("openpi", "a"), type(shown)(0.0, "", shown.robots, less, shown.state))
 
 

@@ -108,7 +108,10 @@ def test_policies_are_paired_by_start_and_corrected_for_their_number() -> None:
     (one,) = compare_policies(rows)
     assert (one.first, one.second, one.pairs, one.both, one.first_only, one.second_only) == ("good", "bad", 6, 0, 6, 0)
     assert one.p == pytest.approx(2 / 2**6) and one.progress == pytest.approx(0.5)
-    assert "only good succeeds in 6, only bad in 0; p = 0.0312 (exact McNemar test, Holm)" in one.sentence
+    assert (
+        "good alone succeeds in 6, bad alone succeeds in 0; p = 0.0312 (exact McNemar test, Holm-corrected)"
+        in one.sentence
+    )
     rows += [record("a", "third", k, won=k < 3) for k in range(6)]
     assert [c.p_holm for c in compare_policies(rows)] == pytest.approx([3 * 2 / 2**6, 0.5, 0.5])
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])

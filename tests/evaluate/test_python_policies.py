@@ -81,7 +81,7 @@ def test_a_class_is_evaluated_resumed_and_filmed(here: Path) -> None:
     assert {p: p.stat().st_mtime_ns for p in (here / "out/rollouts").rglob("*")} == before
     (here / "own_policies.py").write_text(POLICIES + "# edited\n")
     again = run(*command)
-    assert again.code == 2 and "another evaluation: its policy (its document, recording or code) is" in again.out
+    assert again.code == 2 and "a different evaluation: its policy (its document, recording or code) is" in again.out
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_an_invalid_answer_is_a_failed_rollout(here: Path, bad: str, said: str) 
         "eval", "push.task.yaml", "-p", f"python:own_policies.py:Push?bad={bad}", "-n", "4", "-o", "out", "--no-video"
     )
     assert result.code == 0, result.err
-    assert "2/4  50% (15% to 85%), 2 by an invalid answer" in result.out
+    assert "2/4  50% (15% to 85%), 2 with an invalid response" in result.out
     assert "rollout 1 counts as failed" in result.err and said in result.err
     found = _results(here / "out")
     (score,) = found["scores"]
@@ -124,17 +124,17 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
     (here / "wrong.py").write_text("import nothing_of_this_name\n")
     (here / "syntax.py").write_text("class A(:\n")
     for text, said in [
-        ("python:own_policies", "names no class; write `python:MODULE:CLASS`"),
-        ("python:own_policies:Psh", "has no `Psh`; its classes are: Push, Blind, Broken"),
-        ("python:absent:Push", "there is no module `absent`"),
-        ("python:absent.py:Push", "there is no file absent.py"),
+        ("python:own_policies", "does not name a class; use `python:MODULE:CLASS`"),
+        ("python:own_policies:Psh", "has no `Psh`; available classes: Push, Blind, Broken"),
+        ("python:absent:Push", "module `absent` was found neither"),
+        ("python:absent.py:Push", "file absent.py does not exist"),
         (
             "python:wrong:Push",
-            "wrong.py cannot be imported: ModuleNotFoundError: No module named 'nothing_of_this_name'",
+            "wrong.py: ModuleNotFoundError: No module named 'nothing_of_this_name'",
         ),
-        ("python:syntax:Push", "syntax.py cannot be imported: SyntaxError"),
+        ("python:syntax:Push", "syntax.py: SyntaxError"),
         ("python:own_policies:np", "is a `module`, not a class"),
-        ("python:own_policies:Push?1=2", "are not valid arguments of `Push`"),
+        ("python:own_policies:Push?1=2", "are not valid arguments for `Push`"),
     ]:
         result = run("eval", "push.task.yaml", "-p", text, "-n", "1", "-o", "out")
         assert result.code == 2 and said in result.err, (text, result.err)
@@ -144,8 +144,8 @@ def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
     ("text", "said"),
     [
         ("Blind", r"`Blind` has `action_space` None; it must be \"joint_position\" or"),
-        ("Broken", r"cannot be created: FileNotFoundError: no checkpoint \(own_policies.py:\d+\)"),
-        ("Push?steps=3", r"cannot be created: TypeError: .*unexpected keyword argument 'steps'"),
+        ("Broken", r"could not create .*: FileNotFoundError: no checkpoint \(own_policies.py:\d+\)"),
+        ("Push?steps=3", r"could not create .*: TypeError: .*unexpected keyword argument 'steps'"),
     ],
 )
 @pytest.mark.usefixtures("here")
@@ -191,5 +191,5 @@ def test_the_server_of_the_documentation_and_what_it_answers_wrongly(here: Path)
         (here / "my_policy.policy.yaml").write_text(document)
         command = ("eval", "push.task.yaml", "-p", "my_policy.policy.yaml", "-n", "2", "-o", "out", "--no-video")
         result = run(*command)
-        assert result.code == 0 and "0/2" in result.out and "2 by an invalid answer" in result.out, result.err
+        assert result.code == 0 and "0/2" in result.out and "2 with an invalid response" in result.out, result.err
         assert "the actions of my_policy must be finite; number 0 of action 0 is nan" in result.err

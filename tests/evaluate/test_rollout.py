@@ -158,7 +158,7 @@ def test_a_policy_that_fails_ends_its_rollout(
 
 def test_the_horizon_ends_a_rollout(push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld) -> None:
     late = rollout(replace(push, horizon=11), push_starts[0], Pusher(reach=0.0), push_world)
-    assert (late.end, late.steps, late.reason) == (RolloutEnd.HORIZON, 11, "not done after 11 control steps")
+    assert (late.end, late.steps, late.reason) == (RolloutEnd.HORIZON, 11, "not completed after 11 control steps")
     assert late.subtasks == {"touch": None, "away": None}
 
 

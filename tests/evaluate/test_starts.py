@@ -138,8 +138,8 @@ def test_objects_whose_regions_overlap_exchange_cells(tmp_path: Path) -> None:
 def test_where_there_is_no_place_the_error_says_which_and_why(tmp_path: Path) -> None:
     task = crowded(tmp_path, "    block: {x: [0.3, 0.301], y: [0.3, 0.301]}\n")
     wanted = (
-        r"task `push`: start 0: no place for `block` in cell \(\d, \d\) \(x 0\.\d{3} to 0\.\d{3} m, y .*\) in 6 tries: "
-        r"6 times `block` overlaps `(dish|crumb)` by \d+\.\d mm; move its region under `reset`"
+        r"task `push`: initial state 0: could not place `block` in cell \(\d, \d\) \(x 0\.\d{3} to 0\.\d{3} m, y .*\) "
+        r"in 6 attempts: 6 times `block` overlaps `(dish|crumb)` by \d+\.\d mm; move its region under `reset`"
     )
     with pytest.raises(StartError, match=wanted):
         starts(task, 1)
@@ -148,19 +148,21 @@ def test_where_there_is_no_place_the_error_says_which_and_why(tmp_path: Path) ->
 def test_two_objects_that_are_always_too_close_have_no_start(tmp_path: Path) -> None:
     same = "{x: [0.4, 0.42], y: [0, 0.02]}"
     task = crowded(tmp_path, f"    block: {same}\n    dish: {same}\n")
-    wanted = r"start 0: no place for `(block|dish)` in .* in 20 tries, nor in any remaining cell: .* overlaps"
+    wanted = (
+        r"initial state 0: could not place `(block|dish)` in .* in 20 attempts, nor in any remaining cell: .* overlaps"
+    )
     with pytest.raises(StartError, match=wanted):
         starts(task, 1)
 
 
 def test_what_falls_off_the_table_has_no_start(tmp_path: Path) -> None:
     task = crowded(tmp_path, "    block: {x: [1.01, 1.02], y: [0, 0.01]}\n")
-    with pytest.raises(StartError, match=r"no place for `block` .* times `block` fell off the scene"):
+    with pytest.raises(StartError, match=r"could not place `block` .* times `block` fell off the scene"):
         starts(task, 1)
 
 
 def test_a_goal_that_is_true_already_is_no_start(push: Task) -> None:
-    with pytest.raises(StartError, match=r"6 times the goal is true already: "):
+    with pytest.raises(StartError, match=r"6 times the goal already holds: "):
         starts(replace(push, goal="OnTop(block, table)"), 1)
 
 

@@ -92,7 +92,9 @@ def test_a_robot_that_is_not_there_is_missed_by_name(tmp_path: Path, monkeypatch
     monkeypatch.setenv(OWN_ROBOTS, str(tmp_path))
     scene = SCENE.replace("{mjcf: arm.xml}", "yam").replace("mount: arm.boom", "mount: arm")
     task = load_task(write_bench(tmp_path, scene=scene))
-    with pytest.raises(SimfoundryError, match=r"task `push` needs robot `arm`, which is left out: no model found: .*"):
+    with pytest.raises(
+        SimfoundryError, match=r"task `push` needs robot `arm`, which is not available: no model found: .*"
+    ):
         need_robots(task)
 
 

@@ -95,10 +95,10 @@ def _doubling() -> str:
         (_doubling(), "more than 10000 nodes"),
         (collada('<node id="a"/>'), "has no triangles"),
         (collada(f'<node id="a">{PLACED.replace("#g", "#h")}</node>'), "Geometry #h not found"),
-        (collada(f'<node id="a">{PLACED}</node>', POLYGONS.replace("1 2 3<", "1 2 9<")), "cannot be read as a mesh"),
-        (collada(f'<node id="a">{PLACED}</node>', "<tristrips/>"), "`<tristrips>` is not read"),
+        (collada(f'<node id="a">{PLACED}</node>', POLYGONS.replace("1 2 3<", "1 2 9<")), "could not be read as a mesh"),
+        (collada(f'<node id="a">{PLACED}</node>', "<tristrips/>"), "`<tristrips>` is not supported"),
         (f'<!DOCTYPE a [<!ENTITY e "x">]>{collada("")}', "defines the entity `e`"),
-        ("<COLLADA>", "not XML"),
+        ("<COLLADA>", "not valid XML"),
     ],
 )  # fmt: skip
 def test_what_is_no_mesh_is_refused_with_its_reason(path: Path, text: str, words: str) -> None:

@@ -101,8 +101,8 @@ def test_an_edited_mjcf_says_what_was_edited(everything: Scene, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ('{"cup": {"urdf": "../cup.urdf", "fixed": true}}', "`cup` names the file"),
-        ('{"cup": {"urdf": "cup.urdf", "fixed": true}}', "`cup` is not as compiled files have it"),
+        ('{"cup": {"urdf": "../cup.urdf", "fixed": true}}', "`cup` refers to the file"),
+        ('{"cup": {"urdf": "cup.urdf", "fixed": true}}', "`cup` has invalid data for a compiled file"),
     ],
 )
 def test_poses_that_name_no_urdf_are_refused(text: str, reason: str, tmp_path: Path) -> None:

@@ -99,9 +99,9 @@ def test_a_mesh_is_made(server: tuple[str, type[Handler]]) -> None:
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        ((500, b"out of\nmemory"), "answered 500 Internal Server Error: out of memory"),
-        ((200, b"{}"), "answered without a picture in data"),
-        ((200, b"not json"), "answered without a picture in data"),
+        ((500, b"out of\nmemory"), "returned 500 Internal Server Error: out of memory"),
+        ((200, b"{}"), "did not return an image in data"),
+        ((200, b"not json"), "did not return an image in data"),
         ((200, b'{"data": [{"b64_json": "aGVsbG8="}]}'), "neither PNG nor JPEG"),
     ],
 )
@@ -126,7 +126,7 @@ def test_what_is_no_mesh_and_what_is_too_large_is_refused(server: tuple[str, typ
 
 
 def test_nobody_there_and_nothing_set_up() -> None:
-    with pytest.raises(ModelError, match=r"the mesh model at .* does not answer .*is it running"):
+    with pytest.raises(ModelError, match=r"the mesh model at .* did not respond .*is it running"):
         HttpMeshes("http://127.0.0.1:9", timeout_s=2).make(PICTURE, 0)
     with pytest.raises(ModelError, match="http:// or https://"):
         HttpMeshes("file:///etc").make(PICTURE, 0)
@@ -141,5 +141,5 @@ def test_nobody_there_and_nothing_set_up() -> None:
     assert images_from_environment({"SIMFOUNDRY_IMAGES_URL": "http://a"}, "mine") == HttpImages("http://a", "mine")
     with pytest.raises(ModelError, match="PNG or JPEG"):
         HttpImages("http://127.0.0.1:9", "m").edit("x", [b"GIF89a"])
-    with pytest.raises(ModelError, match="needs a picture"):
+    with pytest.raises(ModelError, match="requires an image"):
         HttpImages("http://127.0.0.1:9", "m").edit("x", [])

@@ -66,10 +66,10 @@ def test_an_empty_condition_is_refused(boxes: Setting, joined: str) -> None:
 @pytest.mark.parametrize(
     ("condition", "message"),
     [
-        ("OnTop(a, c)", "there is no `c` in this scene; there are: desk, a, b"),
-        ("OnTop(a.lid, b)", "`a` has no link or joint `lid`; there are: base"),
+        ("OnTop(a, c)", "there is no `c` in this scene; available objects and robots: desk, a, b"),
+        ("OnTop(a.lid, b)", "`a` has no link or joint `lid`; available links and joints: base"),
         ("Open(a)", "no joint of `a` has limits"),
-        ("OnTop(a, a)", "names one object twice"),
+        ("OnTop(a, a)", "refers to the same object twice"),
     ],
 )
 def test_what_cannot_be_judged_is_said(boxes: Setting, condition: str, message: str) -> None:

@@ -247,7 +247,7 @@ def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
     scene.write_text(text + "    joints: {elbow: 0.25}\n")
     done = run("compile", str(scene), "-t", "urdf", "-o", str(tmp_path / "out"))
     assert done.code == 2
-    assert "robot `bot`: plain.urdf has no joint `elbow`; there are: turn" in (done.out + done.err)
+    assert "robot `bot`: plain.urdf has no joint `elbow`; available joints: turn" in (done.out + done.err)
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

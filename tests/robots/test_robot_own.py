@@ -86,11 +86,11 @@ def test_policies_do_its_tasks(bench: Path) -> None:
     [
         (
             "  links: {hand: {link: tool, pose: {xyz: [0, 0, 0.01], yaw_deg: -90}}}\n", "",
-            "has no identifiable hand: arm.xml has no link `hand`; there are: root, turret, boom, left, "
+            "has no identifiable hand: arm.xml has no link `hand`; available links: root, turret, boom, left, "
             "right, tool; name it in a robot file",
         ),
-        ("link: tool", "link: toll", "arm.xml has no link `toll`; there are: root"),
-        ("joints: [turn, reach]", "joints: [turn, slide]", "no position actuator of arm.xml drives its joint `slide`"),
+        ("link: tool", "link: toll", "arm.xml has no link `toll`; available links: root"),
+        ("joints: [turn, reach]", "joints: [turn, slide]", "no position actuator in arm.xml drives its joint `slide`"),
     ],
 )  # fmt: skip
 def test_what_its_file_must_say_is_said_before_the_first_rollout(bench: Path, old: str, new: str, said: str) -> None:
@@ -104,7 +104,7 @@ def test_an_arm_that_takes_no_positions_is_refused(bench: Path, actuator: str) -
     model = bench.parent / "robots/models/arm.xml"
     start, end = OWN.index("<actuator>") + len("<actuator>"), OWN.index('<position name="left"')
     model.write_text(OWN[:start] + actuator + OWN[end:])
-    with pytest.raises(SimfoundryError, match=r"no position actuator of arm\.xml drives its joint `turn`; add one"):
+    with pytest.raises(SimfoundryError, match=r"no position actuator in arm\.xml drives its joint `turn`; add one"):
         need_robots(load_task(bench))
 
 

@@ -137,9 +137,9 @@ def test_the_page_s_python_runs(own_models: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_a_joint_that_is_not_there_is_named(lift: Scene, panda_lift: Scene) -> None:
     for world in (MujocoWorld(lift), _pybullet(panda_lift)):
-        with pytest.raises(KeyError, match="robot 'arm' has no joint 'elbow'; there are: joint1, joint2"):
+        with pytest.raises(KeyError, match="robot 'arm' has no joint 'elbow'; available joints: joint1, joint2"):
             world.robot("arm").set_targets({"elbow": 0.0})
-        with pytest.raises(KeyError, match="no robot 'leg'; there are: arm"):
+        with pytest.raises(KeyError, match=r"no robot 'leg'; .*: arm"):
             world.robot("leg")
         world.close()
 

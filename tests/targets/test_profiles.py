@@ -146,7 +146,7 @@ def test_a_new_target_is_a_new_file(tmp_path: Path) -> None:
     assert b'timestep="0.002"' in plain.files["scene.xml"]
     losses = {loss.path: loss.reason for loss in artifact.losses}
     assert losses["mass"] == "everything weighs nothing (never)"
-    assert losses["friction"] == "my_sim takes the smaller of a pair: 0.1 for 0.1 and 0.8; the scene specifies 0.283."
+    assert losses["friction"] == "my_sim uses the smaller of a pair: 0.1 for 0.1 and 0.8; the scene specifies 0.283."
     assert not any("restitution" in path for path in losses)
     assert any("restitution" in loss.path for loss in plain.losses)
 
@@ -158,7 +158,7 @@ def test_newton_has_the_frictions_of_pairs_from_mjcf_and_the_larger_from_usd() -
     exact, larger = ({loss.path: loss.reason for loss in compile_target(scene, find_target(t)).losses} for t in NEWTONS)
     assert "friction" not in exact
     assert (
-        larger["friction"] == "newton_usd takes the larger of a pair: 0.5 for 0.35 and 0.5; the scene specifies 0.418."
+        larger["friction"] == "newton_usd uses the larger of a pair: 0.5 for 0.35 and 0.5; the scene specifies 0.418."
     )
 
 
@@ -218,7 +218,7 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
             "tolerances: {read_back: {value: 1, reason: none}}\ngaps:\n",
             "SF107",
             10,
-            "the tolerances are not used",
+            "tolerances have no effect without an `engine`",
         ),
         ("gaps:\n", ENGINE, "SF203", 10, "there is no file `readback.py`"),
         ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
@@ -270,7 +270,7 @@ def test_no_loss_where_all_surfaces_are_equal() -> None:
     other = solid("b", box(1, 1, 1), pose(2, 0, 0), friction=0.8)
     mixed = scene_of(solid("a", box(1, 1, 1), pose(0, 0, 0), friction=0.3), other)
     (loss,) = (loss for loss in compile_target(mixed, find_target("drake")).losses if loss.path == "friction")
-    assert loss.reason == "drake takes the harmonic mean of a pair: 0.436 for 0.3 and 0.8; the scene specifies 0.49."
+    assert loss.reason == "drake uses the harmonic mean of a pair: 0.436 for 0.3 and 0.8; the scene specifies 0.49."
 
 
 def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:

@@ -80,10 +80,10 @@ def test_a_splat_is_read_with_its_activations(tmp_path: Path, degree: int) -> No
 def test_what_is_no_splat_is_told(tmp_path: Path) -> None:
     data, _ = splat_ply(2, 1)
     wrong = {
-        "it has no `opacity`": data.replace(b"property float opacity", b"property float opaqueness"),
-        "has 8 of `f_rest`": data.replace(b"property float f_rest_8", b"property float g_rest_8"),
-        "cannot be read as a splat": b"no ply at all",
-        "not numbers": data[:-4] + np.float32(np.nan).tobytes(),
+        "the property `opacity` is missing": data.replace(b"property float opacity", b"property float opaqueness"),
+        "has 8 `f_rest` properties": data.replace(b"property float f_rest_8", b"property float g_rest_8"),
+        "could not be read as a splat": b"no ply at all",
+        "non-finite values": data[:-4] + np.float32(np.nan).tobytes(),
     }
     for words, content in wrong.items():
         (tmp_path / "a.ply").write_bytes(content)
@@ -233,7 +233,7 @@ def test_a_scene_chooses_a_variant(tmp_path: Path) -> None:
     assert sizes["cup.shape"] == "0.03 0.1"
     lost = [loss for loss in compile_scene(scene, "mjcf").losses if loss.path == "cup.variants"]
     assert [loss.reason for loss in lost] == [
-        "MJCF holds one variant: `tall` is written; `default`, `red` are left out."
+        "MJCF supports only one variant: `tall` is written; `default`, `red` are omitted."
     ]
     stage = stage_of(scene, tmp_path / "usd")
     choices = stage.GetPrimAtPath("/World/Objects/cup").GetVariantSets().GetVariantSet("variant")

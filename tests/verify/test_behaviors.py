@@ -87,7 +87,7 @@ def test_verdicts_know_what_an_engine_cannot_do() -> None:
     assert judge_result(slip, find_engine("mujoco"), 26.9).verdict is ProofStatus.OK
     assert judge_result(slip, find_engine("mujoco"), 28.8).verdict is ProofStatus.MISMATCH
     known = judge_result(slip, find_engine("sapien"), 28.8)
-    assert (known.verdict, known.reason) == (ProofStatus.KNOWN, "SAPIEN uses the average friction of a pair")
+    assert (known.verdict, known.reason) == (ProofStatus.KNOWN, "SAPIEN averages the two friction coefficients")
     assert judge_result(slip, find_engine("sapien"), 31.0).verdict is ProofStatus.MISMATCH
     assert judge_result(slip, find_engine("sapien"), 26.1).verdict is ProofStatus.OK
     assert judge_result(slip, find_engine("sapien"), float("nan")).verdict is ProofStatus.MISMATCH

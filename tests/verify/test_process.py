@@ -82,7 +82,7 @@ def test_engines_are_found_here_and_elsewhere(tmp_path: Path) -> None:
 
 
 def test_what_is_no_engine_is_said_with_those_there_are(tmp_path: Path) -> None:
-    with pytest.raises(UnknownEngineError, match=r"no engine is called `bullet`; there are: .*mujoco, "):
+    with pytest.raises(UnknownEngineError, match=r"no engine is called `bullet`; available engines: .*mujoco, "):
         find_engine("bullet")
     with pytest.raises(UnknownEngineError, match="no engine is called `bullet`"):
         interpreters([f"bullet={HERE}"], (), {})

@@ -98,7 +98,7 @@ def test_pictures_are_cut_not_squeezed(world: World) -> None:
 
 
 def test_a_camera_that_is_not_there_is_named(world: World) -> None:
-    with pytest.raises(KeyError, match="no camera 'frnt'; there are: front, top, tip"):
+    with pytest.raises(KeyError, match="no camera 'frnt'; available cameras: front, top, tip"):
         world.render("frnt", 8, 8)
 
 

@@ -105,9 +105,9 @@ def test_reset_goes_to_any_state_and_back_at_rest(engine: Engine) -> None:
 
 def test_reset_names_what_is_not_in_the_scene(engine: Engine) -> None:
     with engine(primitives_scene()) as world:
-        with pytest.raises(KeyError, match="no object 'cup' in this scene; there are: table, crate"):
+        with pytest.raises(KeyError, match="the scene has no object 'cup'; available names: table, crate"):
             world.reset(SceneState.of({"cup": Pose.of()}, {}))
-        with pytest.raises(KeyError, match=r"no joint 'cup\.lid' in this scene; there are: none"):
+        with pytest.raises(KeyError, match=r"the scene has no joint 'cup\.lid'; available names: none"):
             world.reset(SceneState.of({}, {"cup.lid": 0.0}))
 
 

@@ -1,22 +1,23 @@
-"""MJCF for MuJoCo: ``scene.xml``, its contact pairs, its assets and a loader.
+"""MJCF backend for MuJoCo, which writes ``scene.xml`` with its contact pairs, assets and loader.
 
-Naming: the body of a root link has the name of the object, any other body ``object.link``. The free joint of a root has
-the name of the object, any other joint ``object.joint``. Collision geoms are ``object.collider`` or
-``object.link.collider``; visual geoms are ``object:visual``, and those of the background ``:background:visual``. A
-primitive that serves as both is one geom with the collider's name. Visual geoms are in group 2; all other colliders are
-in group 3, which cameras do not draw. A mesh is named after the first geom that uses it: ``bowl_collision_3``.
+Naming: the body of a root link is named after the object, and any other body is named ``object.link``. The free joint
+of a root is named after the object, and any other joint is named ``object.joint``. Collision geoms are named
+``object.collider`` or ``object.link.collider``. Visual geoms are named ``object:visual``, or ``:background:visual`` in
+the background. A primitive that is both visual and collider becomes one geom with the collider's name. Visual geoms are
+in group 2; colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
+geom that uses it, for example ``bowl_collision_3``.
 
-Each material is a class; :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike materials.
-Mass properties are explicit. Links connected by a joint do not collide: the joint, not contact, holds a drawer in its
-cabinet.
+Each material becomes a default class; :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike
+materials. Mass properties are explicit. Links connected by a joint do not collide: a drawer is held in its cabinet by
+its joint, not by contacts.
 
 The initial state is the keyframe ``initial``. Without it, free bodies are at their initial poses, but joints are at
-zero. The attribute ``ref`` could start joints elsewhere, but ball joints do not have it, some readers measure joint
-coordinates from it (Newton uses ``qpos - ref``), and changing a position by hand would then mean changing the body
-pose, ``ref`` and the keyframe together.
+zero. The attribute ``ref`` could give joints a different initial position, but ball joints do not support it, some
+readers measure joint coordinates relative to it (Newton uses ``qpos - ref``), and editing a position by hand would then
+require changing the body pose, ``ref`` and the keyframe together.
 
-A robot is its own MJCF model below a body with the robot's name, which also prefixes all of its names: ``arm.joint1``.
-The robot frames that a scene can refer to are sites: ``arm.hand``.
+A robot keeps its own MJCF model, placed below a body named after the robot. All of its names are prefixed with that
+name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
-"""Time step [s]: MuJoCo's default, at which its 20 ms contacts are stable."""
+"""Time step [s]. This is MuJoCo's default, at which contacts with its time constant of 20 ms are stable."""
 
 EXACT, NATIVE = "exact", "native"
-"""The contact modes of a build: exact pair friction as in the scene, or MuJoCo's native rule."""
+"""The contact modes of a build: exact pairwise friction as in the scene, or MuJoCo's native rule."""
 
 _LOADER = shipped("targets/mjcf") / "load.py"
 _RULES = Path(__file__).parent / "contact_rules.py"
@@ -63,14 +64,21 @@ _RULES = Path(__file__).parent / "contact_rules.py"
 def compile_mjcf(
     scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0, contacts: str = EXACT
 ) -> Artifact:
-    """Compile a scene to MJCF with time step ``timestep`` [s].
+    """Compile a scene to MJCF.
 
-    If ``cylinder_sides`` is three or more, cylinders collide as prisms with that many sides, for readers without
-    cylinder collisions. ``contacts`` is `exact` or `native`; native omits the contact pairs, so that MuJoCo uses the
-    larger of two friction coefficients. Raises :class:`InvalidSceneError` for invalid names or contact modes.
+    Args:
+        scene: The lowered scene.
+        timestep: The simulation time step [s].
+        cylinder_sides: If three or more, cylinders collide as prisms with this many sides, for readers that do not
+            support cylinder collisions.
+        contacts: Either `exact`, or `native` to omit the contact pairs, in which case MuJoCo uses the larger of two
+            friction coefficients.
+
+    Raises:
+        InvalidSceneError: If a name or the contact mode is invalid.
     """
     if contacts not in (EXACT, NATIVE):
-        raise InvalidSceneError(f"the option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
+        raise InvalidSceneError(f"option `contacts` must be `{EXACT}` or `{NATIVE}`, not `{contacts}`")
     check_names(scene)
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []
@@ -106,7 +114,7 @@ def compile_mjcf(
     files = {"load.py": _LOADER.read_bytes()}
     geoms = contact_geoms(scene)
     if contacts == EXACT:
-        root.append(ET.Comment("The frictions of unlike materials that meet: generated, see there."))
+        root.append(ET.Comment("Generated frictions for contacts between different materials; see the comments there."))
         ET.SubElement(root, "include", file=CONTACTS_FILE)
         files[CONTACTS_FILE] = contacts_text(geoms, excluded_set(excluded)).encode()
     files |= {"scene.xml": xml_text(root), _RULES.name: _RULES.read_bytes()}
@@ -127,7 +135,7 @@ def _losses(scene: Scene, timestep: float) -> list[Loss]:
 
 
 def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: MaterialClasses) -> None:
-    """Add the compiler and solver settings, and the defaults of all geoms."""
+    """Add the compiler settings, the solver settings and the default classes."""
     root.append(ET.Comment(f"{scene.name}: generated by SimFoundry. `python load.py` opens it in its initial state."))
     compiler = {
         "angle": "radian",
@@ -141,15 +149,15 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: Ma
         "fusestatic": "false",
         "discardvisual": "false",
     }
-    root.append(ET.Comment("Masses and inertias are explicit: nothing is derived from geoms."))
+    root.append(ET.Comment("Masses and inertias are explicit and are not derived from geoms."))
     ET.SubElement(root, "compiler", compiler)
-    # An elliptic cone with stiff tangential constraints preserves Coulomb's law: a box stays at rest on a slope up to
+    # An elliptic cone with stiff tangential constraints preserves Coulomb's law: a box stays at rest on any slope below
     # the friction angle.
     option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
-    # Rolling resistance is small compared with friction, so the tangential constraints must be even stiffer; otherwise
+    # Rolling resistance is small compared with friction, so it requires even stiffer tangential constraints; otherwise,
     # a ball at rest creeps.
     impratio = "100" if resists_rolling(scene) else "10"
-    root.append(ET.Comment("The elliptic cone and impratio keep Coulomb's law: friction holds up to its angle."))
+    root.append(ET.Comment("The elliptic cone and impratio prevent objects from slipping below the friction angle."))
     ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": impratio})
     visual = ET.SubElement(root, "visual")
     cameras = [*scene.cameras, *(m.camera for m in scene.mounted)]
@@ -158,10 +166,10 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: Ma
         ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(visual, "headlight", own_light)
-    root.append(ET.Comment("A class for each material: its friction, and its restitution as `user` and damping."))
+    root.append(ET.Comment("One class per material: its friction, and its restitution as `user` data and damping."))
     default = ET.SubElement(root, "default")
-    # Stiff enough that Coulomb friction keeps a joint at rest; with MuJoCo's default, a joint held by friction creeps
-    # at 10 mm/s.
+    # This is stiff enough for Coulomb friction to keep a joint at rest; with MuJoCo's default, a joint held by friction
+    # creeps at 10 mm/s.
     ET.SubElement(default, "joint", solimpfriction="0.999 0.999 0.001 0.5 2")
     visuals = ET.SubElement(default, "default", {"class": VISUAL})
     ET.SubElement(visuals, "geom", group=VISUAL_GROUP, contype="0", conaffinity="0", mass="0")
@@ -174,7 +182,7 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: Ma
 def _add_exclusions(root: ET.Element, excluded: list[tuple[str, str]]) -> None:
     """Add the pairs of bodies that do not collide."""
     if excluded:
-        root.append(ET.Comment("Bodies that pass through each other: joints, not contacts, hold them together."))
+        root.append(ET.Comment("Pairs of bodies that do not collide, mostly because a joint already connects them."))
         contact = ET.SubElement(root, "contact")
         for a, b in excluded:
             ET.SubElement(contact, "exclude", body1=a, body2=b)
@@ -182,7 +190,7 @@ def _add_exclusions(root: ET.Element, excluded: list[tuple[str, str]]) -> None:
 
 def _add_keyframe(root: ET.Element, qpos: list[float], ctrl: list[float]) -> None:
     """Add the initial state of all joints and actuators as a keyframe."""
-    root.append(ET.Comment("The initial state: without it, joints stand at zero."))
+    root.append(ET.Comment("The initial state. Without this keyframe, all joints start at zero."))
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", {"name": "initial"} | state)
 

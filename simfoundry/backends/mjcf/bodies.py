@@ -1,4 +1,4 @@
-"""Objects as MJCF bodies: links, joints, geoms."""
+"""Conversion of objects to MJCF bodies with their joints and geoms."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _JOINT_TYPES = {
 
 
 def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add the bodies of an object to the world; return its initial ``qpos`` in MuJoCo's depth-first order.
+    """Add an object's bodies to the world, and return its initial ``qpos`` in MuJoCo's depth-first order.
 
-    ``materials`` holds the classes of the scene.
+    ``materials`` contains the material classes of the scene.
     """
     return [value for tree in trees(item) for value in _add_tree(world, tree, assets, materials)]
 
 
 def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add one tree of links as a body in the world, the only place where MuJoCo allows free joints."""
+    """Add one tree of links directly to the world body, because MuJoCo allows free joints only there."""
     item = tree.owner
     body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
     qpos: list[float] = []
@@ -44,7 +44,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: Material
     for joint in tree.joints:
         joints_by_parent.setdefault(joint.parent, []).append(joint)
     pending = [(body, joint) for joint in reversed(joints_by_parent.get(tree.root.name, []))]
-    while pending:  # depth first, children in the order of the joints
+    while pending:  # depth first, with children in joint order
         parent, joint = pending.pop()
         child = _add_child(parent, item, joint)
         _fill_body(child, item, links[joint.child], assets, materials)
@@ -64,7 +64,7 @@ def add_background(world: ET.Element, background: Background, assets: Assets) ->
 
 
 def free_joint_name(tree: Tree) -> str:
-    """Return the name of the free joint of a tree's root: the object's name or ``object.joint``."""
+    """Return the name of the free joint at a tree's root: the object's name or ``object.joint``."""
     return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
 
 
@@ -80,7 +80,7 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
             if value:
                 attributes[key] = number(value)
         if joint.type is JointType.BALL and joint.friction:
-            # MuJoCo averages the friction impedance over the axes, and most objects turn easily about one of them.
+            # MuJoCo averages the friction impedance over the three axes, but most objects rotate easily about one axis.
             attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
     return body
@@ -125,7 +125,7 @@ def _placed_shape(part: Visual | Collider, assets: Assets, name: str) -> dict[st
 
 
 def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False) -> dict[str, str]:
-    """Return the type and half sizes of a geom; ``name`` is used for its mesh if the mesh is new."""
+    """Return the type and size attributes of a geom; a mesh asset that does not exist yet is named after ``name``."""
     match geometry:
         case Box(size=size):
             return {"type": "box", "size": numbers(size / 2)}
@@ -140,7 +140,7 @@ def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False
 
 
 def pose_attributes(pose: Pose) -> dict[str, str]:
-    """Return ``pos`` and ``quat`` (wxyz) of a pose; identity values are omitted."""
+    """Return a pose as ``pos`` and ``quat`` (wxyz) attributes, omitting identity values."""
     if pose is IDENTITY:
         return {}
     p = pose.p.tolist()
@@ -153,7 +153,7 @@ def _turn(q: Array) -> dict[str, str]:
 
 
 class Assets:
-    """The ``<asset>`` element under construction, and the files that it refers to, by file name."""
+    """The ``<asset>`` element under construction, and the files it refers to, by file name."""
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
@@ -163,20 +163,19 @@ class Assets:
         self._taken: set[str] = set()
 
     def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
-        """Return the name of the asset for ``mesh``; a new asset is named after ``wish``."""
+        """Return the asset name for ``mesh``; a new asset is named after ``wish``."""
         key = (mesh.digest, collides)
         if key not in self._names:
             name = self._names[key] = self._new_name(wish, numbered=collides)
             file = self._names.get((mesh.digest, not collides), name)
-            # Visual meshes may be open or flat; for those, MuJoCo can compute the mass only from the surface. It needs
-            # neither.
+            # Visual meshes may be open or flat, which MuJoCo accepts only as shells. The computed mass is not used.
             inertia = "convex" if collides else "shell"
             ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
             self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
         return self._names[key]
 
     def material(self, png: bytes, rgba: Array, wish: str) -> str:
-        """Return the name of the material with a texture multiplied by a color."""
+        """Return the name of a material that multiplies a texture by a color."""
         tint = numbers(rgba)
         if (png, tint) not in self._names:
             if png not in self._names:
@@ -199,13 +198,13 @@ class Assets:
 
 
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
-"""The stiffness of a mimic joint; the time constant is two time steps, the smallest stable value."""
+"""Constraint parameters of a mimic joint; the time constant is two time steps, which is the smallest stable value."""
 
 
 def add_mimics(root: ET.Element, scene: Scene) -> None:
-    """Add ``<equality>`` with one entry, named ``object.joint``, for each mimic joint.
+    """Add ``<equality>`` with one entry named ``object.joint`` per mimic joint.
 
-    MuJoCo's polynomial applies to deviations from the model's initial configuration, in which all joints are at 0.
+    MuJoCo's polynomial applies to deviations from the model's reference configuration, in which all joints are at zero.
     """
     followers = [(o.name, j, j.mimic) for o in scene.objects for j in o.joints if j.mimic is not None]
     if not followers:
@@ -219,9 +218,10 @@ def add_mimics(root: ET.Element, scene: Scene) -> None:
 
 
 def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
-    """Add ``<actuator>`` with one entry, named ``object.joint``, for each drive; return the initial ``ctrl``.
+    """Add ``<actuator>`` with one entry named ``object.joint`` per drive, and return the initial ``ctrl``.
 
-    The control is the target of the drive, within the limits of the joint. ``timestep`` [s] bounds the stiffness.
+    The control is the drive target, clipped to the joint limits. The stiffness is limited to values that are stable at
+    a time step of ``timestep`` [s].
     """
     driven: list[tuple[str, Joint, Drive]] = []
     for item in scene.objects:
@@ -237,7 +237,7 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
 
 
 def _spring(joint: Joint, drive: Drive) -> dict[str, str]:
-    """Return MuJoCo's gain and bias of a spring and damper: ``stiffness * (ctrl - q) - damping * v``."""
+    """Return MuJoCo's gain and bias parameters for the force ``stiffness * (ctrl - q) - damping * v``."""
     attributes = {
         "biastype": "affine",
         "gainprm": number(drive.stiffness),

@@ -1,20 +1,21 @@
-"""Exact contact friction in MuJoCo: every pair of surfaces slides at the geometric mean of its two coefficients.
+"""Exact contact friction in MuJoCo, where every pair of surfaces uses the geometric mean of its two coefficients.
 
-MuJoCo uses the larger friction of two geoms and averages their damping. In a scene, a pair has the geometric mean of
-both frictions and of both restitutions, and the larger resistance to spinning and rolling. Every geom stores only its
-own values: ``friction``, and the restitution as ``user`` data, because MuJoCo has no restitution. Surfaces that
-MuJoCo's rule combines incorrectly are called unlike. There are two ways to correct them:
+MuJoCo uses the larger friction of two geoms and averages their damping. In a scene, a pair uses the geometric mean of
+both friction coefficients and of both restitutions, and the larger resistance to spinning and rolling. Every geom
+stores only its own values: ``friction``, and the restitution as ``user`` data, because MuJoCo does not support
+restitution. Two surfaces are called unlike if MuJoCo's rule combines them incorrectly. There are two ways to correct
+such contacts:
 
-- :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with a ``<pair>`` for each two unlike geoms
-  that can meet, so that every program that opens the scene gets them. MuJoCo tests each pair in every step, and a
-  file with thousands of pairs is unreadable; groups of moving objects beyond :data:`MAX_PAIRS` are left to the other
-  method.
-- :func:`make_exact` changes a specification in memory; `load()` calls it. If there are many unlike geoms, one of the
-  two surfaces gets proxy geoms with the properties of the contact: invisible, at the same place, with a priority
-  that makes their values decide, and with masks that let them meet only the other surface. Stepping is then faster
-  than with pairs.
+- :func:`contacts_text` writes ``contacts.xml``, which the scene includes, with one ``<pair>`` for every two unlike
+  geoms that can collide. This works in every program that opens the scene. However, MuJoCo tests each pair in every
+  step, and a file with thousands of pairs is unreadable, so groups of moving objects that exceed :data:`MAX_PAIRS` are
+  handled only by the second method.
+- :func:`make_exact`, which `load()` calls, modifies a specification in memory. If there are many unlike geoms, it adds
+  proxy geoms for one of the two surfaces. They have the properties of the contact, are invisible and coincide with the
+  original geoms; their priority makes their values override those of the other surface, and their masks let them
+  collide only with that surface. Stepping is then faster than with pairs.
 
-Contacts of geoms that do not belong to the scene, such as those of a robot, keep MuJoCo's rule.
+Contacts with geoms that do not belong to the scene, such as those of a robot, keep MuJoCo's rule.
 """
 
 from __future__ import annotations
@@ -30,36 +31,36 @@ if TYPE_CHECKING:
     import mujoco
 
 CONTACTS_FILE = "contacts.xml"
-"""The file that lists the contact pairs; the scene beside it includes it."""
+"""The file that lists the contact pairs; ``scene.xml`` in the same folder includes it."""
 
 EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
 """The content of :data:`CONTACTS_FILE` if there are no pairs; MuJoCo cannot include a file without elements."""
 
 MAX_PAIRS = 3000
-"""Maximum number of pairs in the file: 200 kB of text, and 40 us per step if no geoms are close."""
+"""Maximum number of pairs in the file. This corresponds to 200 kB of text, and 40 us per step if no geoms are close."""
 
 MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
-"""Minimum number of pairs for which proxy geoms are used; below it, pairs are cheaper. MuJoCo tests a pair in 14 ns if
-its geoms are far apart and in 0.7 us near a table; moving proxy geoms have to be updated in every step. Measured by
-`tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: of 16 to 300 for moving geoms, 150 was fastest."""
+"""Minimum number of pairs for which proxy geoms are used; fewer pairs are cheaper than proxies. MuJoCo tests a pair in
+14 ns if its geoms are far apart and in 0.7 us near a table, whereas moving proxy geoms must be updated in every step.
+Measured with `tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: among values from 16 to 300 for moving
+geoms, 150 was the fastest."""
 
 ROBOTS = "simfoundry:robots"
-"""The custom text that lists the bodies of robots, whose contacts are not changed."""
+"""The name of the custom text that lists robot bodies, whose contacts are not changed."""
 
 PROXY = ":proxy"
-"""Start of the suffix that proxy geoms and bodies append to the names they stand for; names in a scene contain no
-colon."""
+"""The first part of the suffix in the names of proxy geoms and bodies; names in a scene do not contain colons."""
 
 _CONTACT_TIME = 0.02
-"""Time constant of a contact [s]: MuJoCo's default. At 0.008 a bowl that falls from 2 cm penetrates a table by 1.5 mm
-instead of 4 mm, but below 0.012 a can on its side rolls away."""
+"""Time constant of a contact [s], which is MuJoCo's default. At 0.008, a bowl dropped from 2 cm penetrates a table by
+1.5 mm instead of 4 mm, but below 0.012, a can lying on its side rolls away."""
 
 _MASK_BITS = 31
-"""Number of usable bits in a mask; the sign bit is excluded."""
+"""Number of usable bits in a mask, which excludes the sign bit."""
 
 
 class ContactSurface(NamedTuple):
-    """Friction, restitution, and resistance to spinning and rolling [m], of a collider or of a contact."""
+    """The friction, restitution, and resistance to spinning and rolling [m] of a collider or a contact."""
 
     friction: float
     restitution: float
@@ -68,7 +69,7 @@ class ContactSurface(NamedTuple):
 
 
 class ContactGeom(NamedTuple):
-    """A collision geom: its name, body, static flag, surface and material class."""
+    """A collision geom, with its name, body, static flag, surface and material class."""
 
     name: str
     body: str
@@ -78,7 +79,7 @@ class ContactGeom(NamedTuple):
 
 
 class UnlikeGroup(NamedTuple):
-    """Geoms of two surfaces that MuJoCo combines incorrectly; the first is static, or both can move."""
+    """Geoms with two surfaces that MuJoCo combines incorrectly. The first are static, or all of them can move."""
 
     one: Sequence[ContactGeom]
     other: Sequence[ContactGeom]
@@ -93,7 +94,7 @@ Bits = Mapping[ContactSurface, int]
 
 
 def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
-    """Return the contact properties that two surfaces should have together."""
+    """Return the contact properties intended for two surfaces in contact."""
     if a == b:
         return a
     return ContactSurface(
@@ -105,7 +106,7 @@ def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
 
 
 def is_native(a: ContactSurface, b: ContactSurface) -> bool:
-    """Return true if MuJoCo's own rule gives the desired contact from the values of the two geoms."""
+    """Return true if MuJoCo's own rule yields the desired contact properties from the values of the two geoms."""
     contact = desired_contact(a, b)
     slides = format_number(max(a.friction, b.friction)) == format_number(contact.friction)
     return slides and solref(a.restitution) == solref(b.restitution) == solref(contact.restitution)
@@ -117,9 +118,9 @@ def format_number(value: float) -> str:
 
 
 def solref(restitution: float) -> tuple[float, float]:
-    """Return MuJoCo's time constant [s] and damping ratio of a contact with the given restitution.
+    """Return MuJoCo's time constant [s] and damping ratio for a contact with the given restitution.
 
-    The stiffness is that of MuJoCo's default contact; only the damping depends on the restitution.
+    The stiffness matches MuJoCo's default contact; only the damping depends on the restitution.
     """
     ratio = damping_ratio(restitution)
     return _CONTACT_TIME / ratio, ratio
@@ -127,10 +128,11 @@ def solref(restitution: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=256)
 def damping_ratio(restitution: float) -> float:
-    """Return the damping ratio of a push-only spring and damper with the given restitution.
+    """Return the damping ratio at which a spring and damper that can only push has the given restitution.
 
     The bodies separate when the force, not the penetration, reaches zero (Schwager and Poeschel, Granular Matter 9,
-    2007). Critical damping therefore still rebounds at exp(-2); lower restitutions cannot be reached and get ratio 1.
+    2007). A critically damped contact therefore still rebounds with a restitution of exp(-2). Lower restitutions cannot
+    be reached, so the ratio is 1.
     """
     if restitution <= math.exp(-2):
         return 1.0
@@ -142,18 +144,18 @@ def damping_ratio(restitution: float) -> float:
 
 
 def rebound(ratio: float) -> float:
-    """Return the restitution of a push-only spring and damper with a damping ratio below 1."""
+    """Return the restitution of a spring and damper that can only push, for a damping ratio below 1."""
     root = math.sqrt(1 - ratio * ratio)
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
 
 def contact_dimensions(surface: ContactSurface) -> int:
-    """Return MuJoCo's ``condim`` for a contact: sliding only, or also spinning or rolling."""
+    """Return MuJoCo's ``condim`` for a contact, depending on whether it resists spinning or rolling."""
     return 6 if surface.rolling else 4 if surface.spinning else 3
 
 
 def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
-    """Return the groups of geoms that MuJoCo combines incorrectly: groups with static geoms first, then by size."""
+    """Return the groups of geoms that MuJoCo combines incorrectly, with static groups first, sorted by size."""
     moving, static = (by_surface(geoms, static) for static in (False, True))
     found = [(static[a], moving[b]) for a, b in product(static, moving) if not is_native(a, b)]
     found += [(moving[a], moving[b]) for a, b in combinations(moving, 2) if not is_native(a, b)]
@@ -162,7 +164,7 @@ def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
 
 
 def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurface, list[ContactGeom]]:
-    """Group the static geoms, or the movable ones, by surface."""
+    """Group either the static or the movable geoms by surface."""
     groups: dict[ContactSurface, list[ContactGeom]] = {}
     for geom in geoms:
         if geom.static == static:
@@ -171,7 +173,7 @@ def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[ContactSurfac
 
 
 def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[ContactGeom, ContactGeom]]:
-    """Yield the pairs of named geoms in a group that can meet."""
+    """Yield the pairs of geoms in a group that can collide."""
     for one, other in product(group.one, group.other):
         if one.body != other.body and (not excluded or frozenset((one.body, other.body)) not in excluded):
             yield one, other
@@ -188,7 +190,7 @@ def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], lis
 
 
 def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
-    """Return the text of :data:`CONTACTS_FILE`: one class for each type of contact, and its pairs."""
+    """Return the text of :data:`CONTACTS_FILE`, with one class per type of contact and its pairs."""
     kept, left = written_groups(geoms)
     classes, lines, names = list[str](), list[str](), set[str]()
     for group in kept:
@@ -201,12 +203,12 @@ def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
     if not lines and not left:
         return EMPTY
     about = [
-        "Contacts of unlike materials: the geometric mean of two frictions, where MuJoCo would take the larger one.",
-        "Generated from the numbers in scene.xml; after an edit of a friction, run load.py with its option `contacts`.",
+        "Contacts between different materials, with the geometric mean of both frictions instead of the larger one.",
+        "Generated from scene.xml; after you edit a friction there, run load.py with its option `contacts`.",
     ]
     if left:
         count = sum(len(group.one) * len(group.other) for group in left)
-        about += [f"{count} more pairs between moving objects are too many for a file: load.py makes them in memory."]
+        about += [f"{count} more pairs between moving objects are too many for a file; load.py adds them in memory."]
     body = ["  <default>", *classes, "  </default>", "  <contact>", *lines, "  </contact>"] if lines else []
     return "\n".join(["<mujoco>", *(f"  <!-- {line} -->" for line in about), *body, "</mujoco>", ""])
 
@@ -220,7 +222,7 @@ def _unused_name(wish: str, taken: set[str]) -> str:
 
 
 def pair_numbers(surface: ContactSurface) -> tuple[int, list[float], tuple[float, float] | None]:
-    """Return ``condim``, ``friction`` and ``solref`` of a pair; a pair inherits nothing from its geoms."""
+    """Return the ``condim``, ``friction`` and ``solref`` of a pair, which inherits no values from its geoms."""
     mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
     damping = solref(surface.restitution) if surface.restitution > 0 else None
     return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
@@ -234,13 +236,13 @@ def _attributes(surface: ContactSurface) -> str:
 
 
 def read_scene(folder: Path) -> mujoco.MjSpec:
-    """Return the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
+    """Read the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
     assets = {path.name: path.read_bytes() for path in (folder / "assets").glob("*")}
     return _specification((folder / "scene.xml").read_bytes(), assets)
 
 
 def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
-    """Compile the files of a build into a model with exact contacts, as `load()` does."""
+    """Compile the files of a build into a model with exact contacts, like the build's `load()`."""
     assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
     spec = _specification(files["scene.xml"], assets)
     make_exact(spec)
@@ -254,7 +256,7 @@ def _specification(text: bytes, assets: Mapping[str, bytes]) -> mujoco.MjSpec:
 
 
 def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
-    """Return the collision geoms of the scene, the geoms of the specification by name, and the geoms of robots."""
+    """Return the scene's collision geoms, their counterparts in the specification by name, and the robots' geoms."""
     robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
     ours: list[ContactGeom] = []
     by_name: dict[str, mujoco.MjsGeom] = {}
@@ -277,19 +279,19 @@ def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco
 
 
 def _surface(geom: mujoco.MjsGeom) -> ContactSurface:
-    """Return the surface of a geom; resistance to spinning and rolling counts only if ``condim`` includes it."""
+    """Return the surface of a geom, without any spinning and rolling resistance that its ``condim`` disables."""
     sliding, spinning, rolling = (float(v) for v in geom.friction)
     restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
     return ContactSurface(sliding, restitution, spinning * (geom.condim > 3), rolling * (geom.condim > 4))
 
 
 def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
-    """Return the pairs of bodies that a specification excludes from contact."""
+    """Return the pairs of bodies between which a specification excludes contacts."""
     return frozenset(frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes)
 
 
 def make_exact(spec: mujoco.MjSpec) -> None:
-    """Make every contact of a scene exact, by pairs or proxy geoms, from the values in the specification.
+    """Make all contacts in a scene exact by adding pairs or proxy geoms, based on the values in the specification.
 
     ``spec`` is the scene without :data:`CONTACTS_FILE`.
     """
@@ -310,7 +312,10 @@ def make_exact(spec: mujoco.MjSpec) -> None:
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
-    """Return the mask bits that no robot uses; none if a robot geom would not meet a geom with only the first bit."""
+    """Return the mask bits that no robot uses.
+
+    The list is empty if some robot geom would not collide with a geom that has only the first bit.
+    """
     used = 1
     for geom in foreign:
         used |= geom.contype | geom.conaffinity
@@ -329,10 +334,11 @@ def _needs_proxies(group: UnlikeGroup, bit_of: Bits) -> bool:
 def _set_masks(
     geoms: Iterable[ContactGeom], by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> None:
-    """Set the masks such that geoms meet the robots and all surfaces of the scene for which there are no proxies.
+    """Set masks so that geoms collide with robots and with all surfaces of the scene for which there are no proxies.
 
-    The affinity of a moving geom is the bit of its surface; its type has the bits of all surfaces that it meets
-    directly. A geom without a bit has the type of all: it meets everything, and pairs override incorrect contacts.
+    The affinity of a moving geom is the bit of its surface, and its type contains the bits of all surfaces with which
+    it collides directly. A geom without a bit has a type with all bits: it collides with everything, and pairs override
+    its incorrect contacts.
     """
     apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
     types: dict[tuple[ContactSurface, bool], int] = {}
@@ -348,10 +354,13 @@ def _set_masks(
 def _add_proxies(
     by_name: Mapping[str, mujoco.MjsGeom], bit_of: Bits, proxied: Iterable[UnlikeGroup]
 ) -> dict[str, list[str]]:
-    """Add proxies for the geoms of the smaller side of each group, one for all surfaces with the same contact.
+    """Add proxies for the geoms on the smaller side of each group.
 
-    Proxies have their own bodies, because MuJoCo skips whole bodies by their masks. Returns the proxy bodies by the
-    name of the body to which they are fixed.
+    All surfaces that have the same contact properties share a proxy. Proxies have their own bodies, because MuJoCo
+    skips whole bodies based on their masks.
+
+    Returns:
+        The names of the proxy bodies by the name of the body to which they are fixed.
     """
     masks: dict[tuple[str, ContactSurface], int] = {}
     for group in proxied:
@@ -373,7 +382,7 @@ def _add_proxies(
 
 
 def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: ContactSurface, mask: int) -> None:
-    """Add a geom of the same shape whose values take priority in all of its contacts."""
+    """Add a geom with the same shape, whose values take priority in all of its contacts."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
     values = {"condim": dimensions, "friction": [mu, spinning, rolling], "solref": [*solref(contact.restitution)]}
     values |= {"contype": mask, "conaffinity": 0, "priority": 1, "group": 4}
@@ -381,7 +390,7 @@ def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact:
 
 
 def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> None:
-    """Exclude the proxy bodies from the contacts from which the bodies they are fixed to are excluded."""
+    """Apply the contact exclusions of each body to the proxy bodies that are fixed to it."""
     for pair in list(spec.excludes):
         a, b = pair.bodyname1, pair.bodyname2
         for one, other in [*((proxy, b) for proxy in bodies.get(a, ())), *((a, proxy) for proxy in bodies.get(b, ()))]:
@@ -389,7 +398,7 @@ def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> No
 
 
 _SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "solimp", "margin", "gap")
-"""The fields that place a geom and control its collisions."""
+"""The geom fields that a proxy copies: its shape, its pose and its contact parameters."""
 
 
 def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: ContactSurface) -> None:

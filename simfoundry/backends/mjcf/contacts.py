@@ -1,4 +1,4 @@
-"""Materials as MJCF classes, and the contacts of a scene: colliding pairs, excluded pairs, and the losses of both."""
+"""Materials as MJCF default classes, and the contacts of a scene: collision geoms, excluded pairs and losses."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
 
 COLLISION, VISUAL = "collision", "visual"
-"""The class of collision geoms, which is the parent of all material classes, and the class of visual geoms."""
+"""The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms."""
 
 VISUAL_GROUP = "2"
-"""The geom group that cameras draw; colliders that are not visual are in group 3, which MuJoCo's viewer hides."""
+"""The geom group that cameras render. Colliders that are not visual are in group 3, which MuJoCo's viewer hides."""
 
 _RESERVED = ("main", COLLISION, VISUAL)
 
 
 class MaterialClasses:
-    """The class of each material; a geom whose surface differs from that of its material states its own values."""
+    """The default class of each material. Geoms whose surface differs from their material override the values."""
 
     def __init__(self, scene: Scene) -> None:
         self._surfaces: dict[str, ContactSurface] = {}
@@ -41,12 +41,12 @@ class MaterialClasses:
                         self._surfaces.setdefault(_class_name(collider.material), surface_of(collider))
 
     def add_defaults(self, collision: ET.Element) -> None:
-        """Add the material classes below the class of collision geoms."""
+        """Add the material classes as children of the class for collision geoms."""
         for name, surface in self._surfaces.items():
             ET.SubElement(ET.SubElement(collision, "default", {"class": name}), "geom", surface_attributes(surface))
 
     def attributes(self, collider: Collider) -> dict[str, str]:
-        """Return the class of a collider, and its surface values if they differ from those of the class."""
+        """Return a collider's class attribute, and its surface attributes if they differ from those of the class."""
         surface, name = surface_of(collider), _class_name(collider.material)
         own = self._surfaces.get(name)
         if own is None:
@@ -66,9 +66,10 @@ def surface_of(collider: Collider) -> ContactSurface:
 
 
 def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None = None) -> dict[str, str]:
-    """Return the attributes of a geom with the given surface, in a class with the ``inherited`` surface.
+    """Return the attributes of a geom with the given surface, whose class has the ``inherited`` surface.
 
-    The restitution is stored in ``user``, which MuJoCo keeps but does not use; ``solref`` is the closest approximation.
+    The restitution is stored in ``user``, which MuJoCo keeps but does not use; ``solref`` approximates it as closely as
+    possible.
     """
     spinning, rolling = surface.spinning, surface.rolling
     resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))
@@ -81,18 +82,18 @@ def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None
 
 
 def resists_rolling(scene: Scene) -> bool:
-    """Return true if any contact of the scene resists spinning or rolling."""
+    """Return true if any collider in the scene resists spinning or rolling."""
     colliders = (collider for item in scene.objects for link in item.links for collider in link.colliders)
     return any(collider.torsional_friction or collider.rolling_friction for collider in colliders)
 
 
 def contact_geoms(scene: Scene) -> list[ContactGeom]:
-    """Return the collision geoms of a scene, in the order of its links."""
+    """Return the collision geoms of a scene in link order."""
     return [geom for item in scene.objects for geom in object_geoms(item)]
 
 
 def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
-    """Yield the collision geoms of an object, in the order of its links."""
+    """Yield the collision geoms of an object in link order."""
     static_links = {item.root.name} if item.fixed else set()
     for link in item.links:
         joint = item.joint_above.get(link.name)
@@ -105,7 +106,7 @@ def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
 
 
 def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
-    """Return the pairs of bodies that do not collide; joints, not contacts, hold a drawer in its cabinet."""
+    """Return the pairs of bodies that do not collide, such as a drawer and its cabinet, which a joint connects."""
     own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in excluded_link_pairs(item)]
     return [*own, *scene.no_contact]
 
@@ -116,7 +117,7 @@ def excluded_set(pairs: Sequence[tuple[str, str]]) -> Excluded:
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the loss of friction if the files leave contacts to MuJoCo's rule, with the pair of largest error."""
+    """Yield the friction loss, with the worst pair as an example, if the files leave contacts to MuJoCo's own rule."""
     groups = written_groups(geoms)[1] if exact else unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):
@@ -125,7 +126,7 @@ def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
     reason = combination_reason("MuJoCo", "the larger", a, b, max(a, b), worst.contact.friction)
     if exact:
         count = sum(len(group.one) * len(group.other) for group in groups)
-        reason = f"load.py makes all contacts exact; opened without it, {count} pairs of moving geoms are not: {reason}"
+        reason = f"load.py makes all contacts exact; without it, {count} pairs of moving geoms are not exact: {reason}"
     yield approximate("friction", "", reason, _native_error(worst))
 
 
@@ -134,10 +135,10 @@ def _native_error(group: UnlikeGroup) -> float:
 
 
 def restitution_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield one loss for each object that bounces, and one for all that should not and do a little."""
-    reason = "MuJoCo has no restitution; contact damping makes rebounds within 0.03 of it, but never below 0.14."
+    """Yield one loss per object with restitution, and one for all objects that should not bounce but do so slightly."""
+    reason = "MuJoCo has no restitution; contact damping keeps rebounds within 0.03 of it, but never below 0.14."
     bouncing = {o.name: [c.restitution for link in o.links for c in link.colliders] for o in scene.objects}
     yield from (approximate("restitution", name, reason, 0.03) for name, values in bouncing.items() if any(values))
     if any(e == 0 for values in bouncing.values() for e in values):
-        still = "MuJoCo's soft contacts rebound at 0.10 to 0.14 of the impact speed where the scene states 0."
+        still = "MuJoCo's soft contacts rebound at 0.10 to 0.14 of the impact speed even if the restitution is 0."
         yield approximate("restitution", "", still, 0.14)

@@ -15,7 +15,7 @@ from simfoundry.scene.model import Collider, Link, Scene
 
 
 def with_prisms(scene: Scene, sides: int) -> Scene:
-    """Return the scene with each colliding cylinder replaced by a prism."""
+    """Return a copy of the scene in which each colliding cylinder is replaced by a prism."""
 
     def link_with(link: Link) -> Link:
         return replace(link, colliders=tuple(_collider_with(c, sides) for c in link.colliders))
@@ -31,7 +31,7 @@ def _collider_with(collider: Collider, sides: int) -> Collider:
 
 
 def prism(cylinder: Cylinder, sides: int) -> Mesh:
-    """Return a regular prism with the height and volume of the cylinder."""
+    """Return a regular prism with the same height and volume as the cylinder."""
     turn = 2 * math.pi / sides
     radius = cylinder.radius * math.sqrt(turn / math.sin(turn))
     angles = turn * np.arange(sides)
@@ -57,5 +57,5 @@ def prism_losses(scene: Scene, sides: int) -> Iterator[Loss]:
         radii = [c.geometry.radius for k in item.links for c in k.colliders if isinstance(c.geometry, Cylinder)]
         if radii:
             off = share * max(radii) * 1000
-            reason = f"It collides as a prism of {sides} sides and the same volume, up to {off:.2g} mm off its surface."
+            reason = f"It collides as a {sides}-sided prism of equal volume, up to {off:.2g} mm away from its surface."
             yield approximate("cylinder", item.name, reason, off, "mm")

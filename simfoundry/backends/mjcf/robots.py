@@ -1,7 +1,7 @@
-"""Robots in MJCF: their own models, each below a body with the robot's name, and cameras mounted on links.
+"""Robots in MJCF, each with its own model below a body named after the robot, and cameras mounted on links.
 
-The options of the scene override those of the robot's file. The contacts of a robot are those of its file, except for
-the stiffness of the finger contacts.
+The scene's options override those in the robot's file. A robot's contacts are as specified in its file, except for the
+stiffness of the finger contacts.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, Robot, mujoco_model
 
 _SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality", "actuator", "sensor")
-"""The sections of a robot's file that are merged into the scene, besides bodies and defaults."""
+"""The sections of a robot's file that are merged into the scene in addition to bodies and defaults."""
 
 _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
-"""MuJoCo's default impedance of joint friction; the scene's default is stiffer, and classes inherit it."""
+"""MuJoCo's default impedance for joint friction, restored for robots because the scene's default is stiffer."""
 
 
 _FINGERS = "1000"
-"""The weight of a finger's stiffness in a contact; all other geoms have weight 1."""
+"""The weight of a finger geom's stiffness in a contact; all other geoms have weight 1."""
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
-    """Add a robot and all elements of its file; return None if MuJoCo cannot read any of its models.
+    """Add a robot with all elements of its file, or return None if it has no model that MuJoCo can read.
 
     The finger contacts are as stiff as a time step of ``timestep`` [s] permits.
     """
@@ -56,12 +56,13 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -
 
 
 def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
-    """Make the finger contacts stiff, so that a grasped object follows the fingers closely.
+    """Make the finger contacts stiff so that a grasped object follows the fingers closely.
 
-    The constraint solver uses the servo damping at the start of a step, the integrator that at the end. A grasped
-    object is affected by the difference at each jerk of the arm, and creeps by the difference times the time constant
-    of the contact: at MuJoCo's 20 ms a marker crept 8 mm in the hand over a motion of 10 cm, at 4 ms it crept 2 mm. The
-    weight makes the fingers' stiffness dominate the contact; the friction is still the larger of the two.
+    The constraint solver uses the servo damping at the beginning of a step, but the integrator uses the damping at the
+    end. Whenever the arm jerks, the difference acts on a grasped object, which creeps by an amount proportional to the
+    time constant of the contact: over a motion of 10 cm, a marker in the hand crept 8 mm at MuJoCo's default of 20 ms,
+    and 2 mm at 4 ms. The weight makes the fingers' stiffness dominate the contact; its friction is still the larger of
+    the two values.
     """
     gripper = read.native.gripper
     if gripper is None:
@@ -75,12 +76,12 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
 
 
 def _firm(timestep: float) -> float:
-    """Return the time constant of the finger contacts [s]: two time steps, MuJoCo's minimum."""
+    """Return the time constant of the finger contacts [s], which is MuJoCo's minimum of two time steps."""
     return 2 * timestep
 
 
 def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
-    """Write poses, masses and limits with full precision; MuJoCo's writer keeps only six digits."""
+    """Write poses, masses and limits with full precision, because MuJoCo's own writer keeps only six digits."""
     model = read.model
     for body in base.iterfind(".//body"):
         k = model.body(body.get("name")).id
@@ -106,7 +107,7 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
 
 
 def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
-    """Add the robot's classes below a class that resets the scene's joint defaults."""
+    """Add the robot's default classes below a class that resets the scene's joint defaults."""
     for group in source.findall("default/default"):
         joint = group.find("joint")
         if joint is None:
@@ -120,7 +121,7 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
 
 
 def _has_class(source: ET.Element, joint: ET.Element) -> bool:
-    """Return true if a body above the joint gives it a class."""
+    """Return true if the joint gets a class from a body above it."""
     return any(joint in body.iter("joint") for body in source.findall("worldbody//body[@childclass]"))
 
 
@@ -129,7 +130,7 @@ def _body(base: ET.Element, name: str) -> ET.Element:
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
-    """Add each mounted camera to the body of its link if that body is in the scene."""
+    """Add each mounted camera to the body of its link, unless its robot was not written."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
         robot = robots.get(mounted.carrier)
@@ -151,14 +152,14 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 
 
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
-    """Yield the losses of a robot in MuJoCo at steps of ``timestep`` [s]."""
+    """Yield the losses of a robot in MuJoCo for a time step of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "It has no MJCF; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
+        reason = "It has no MJCF; MuJoCo reads its URDF and uses the convex hulls of its meshes as colliders."
         yield approximate("robots", robot.name, reason)
     if read.servos:
         reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
         yield approximate("robot_motors", robot.name, reason)
-    reason = "It has the friction of its file; in contacts with the scene, MuJoCo uses the larger friction."
+    reason = "It uses the friction in its file; in contacts with the scene, MuJoCo uses the larger friction."
     yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
         firm = 1000 * _firm(timestep)

@@ -1,4 +1,4 @@
-"""Cameras and lights in MJCF."""
+"""Conversion of cameras, lights and metadata to MJCF."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from simfoundry.scene.model import Camera, JointType, Light, LightType, Scene, S
 from simfoundry.scene.robot import mujoco_model
 
 OPENCV_FROM_OPENGL = Pose.of(q=[0.0, 1.0, 0.0, 0.0])
-"""Half a turn about x, between camera axes x right, y down, z forward and x right, y up, z backward."""
+"""A rotation by 180 degrees about x, between OpenCV axes (y down, z forward) and OpenGL axes (y up, z backward)."""
 
 _HALF_PIXEL = 0.5
-"""In a scene, the center of the first pixel is (0, 0); MuJoCo measures from the corner of the image."""
+"""Offset [px] between a scene's pixel origin, the center of the first pixel, and MuJoCo's, the corner of the image."""
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:
@@ -32,7 +32,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
         "pos": numbers(X_WG.p),
         "quat": numbers(X_WG.q),
         "resolution": f"{camera.width} {camera.height}",
-        # Any sensor with the aspect ratio of the image would do; one micrometer per pixel keeps the numbers readable.
+        # Any sensor with the image's aspect ratio would work; one micrometer per pixel keeps the numbers readable.
         "sensorsize": numbers([camera.width * 1e-6, camera.height * 1e-6]),
         "focalpixel": numbers([camera.fx, camera.fy]),
         "principalpixel": numbers(principal),
@@ -41,7 +41,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
 
 
 def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
-    """Add the lights that have a position or direction; they are Lambertian, without highlights or attenuation."""
+    """Add the lights that have a position or direction, with diffuse shading only and without attenuation."""
     for light in lights:
         if light.type is LightType.DOME:
             continue
@@ -61,7 +61,7 @@ def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
 
 
 def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
-    """Return MuJoCo's headlight attributes, the sum of all dome lights; None if the scene has no lights."""
+    """Return MuJoCo's headlight attributes for the sum of all dome lights, or None if the scene has no lights."""
     if not lights:
         return None
     domes: list[Array] = [light.intensity * light.rgb for light in lights if light.type is LightType.DOME]
@@ -69,17 +69,17 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
 
 
 def light_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield one loss for each dome light."""
-    reason = "MuJoCo has no dome lights; its color lights all surfaces equally, without shading."
+    """Yield one loss per dome light."""
+    reason = "MuJoCo has no dome lights; its color illuminates all surfaces equally, without shading."
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)
 
 
 MARK = "simfoundry:scene"
-"""The text that marks a file as written by this backend; its data is the version of this format."""
+"""The name of the custom text that marks a file as written by this backend; its data is the format version."""
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:
-    """Add ``<custom>``: categories, labels, stated relations, and names for which MJCF has no element."""
+    """Add ``<custom>`` with categories, labels, stated relations, and names for which MJCF has no element."""
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
     for item in scene.objects:

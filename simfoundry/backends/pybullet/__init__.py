@@ -1,11 +1,11 @@
-"""PyBullet: URDFs, a loader, and ``world.json`` with data that URDF cannot represent.
+"""PyBullet backend, which writes URDFs, a loader, and ``world.json`` with the data that URDF cannot represent.
 
-``world.json`` adds the surfaces and motions of the objects, the motors and frames of the robots, and the arguments of
-``getCameraImage`` for each camera.
+``world.json`` contains the surfaces and joint motions of the objects, the motors and frames of the robots, and the
+``getCameraImage`` arguments for each camera.
 
-A link has one friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`. Bullet
-adds a margin around convex meshes that cannot be disabled; the meshes are shrunk by this margin so that their effective
-faces are in the correct place.
+A link has a single friction coefficient for all of its colliders; see :mod:`simfoundry.backends.pybullet.surfaces`.
+Bullet adds a margin around convex meshes that cannot be disabled, so meshes are shrunk by this margin to keep their
+effective faces in the correct place.
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ from simfoundry.scene.kinematics import Tree, contact_pairs, trees
 from simfoundry.scene.model import Camera, Joint, JointType, Light, LightType, Scene, SceneObject
 
 TIMESTEP = 1 / 500
-"""Time step [s]: half of Bullet's default and equal to the other targets, so that behaviors are comparable."""
+"""Time step [s], about half of Bullet's default. All targets use the same step so that their behavior is comparable."""
 
 BACKGROUND = "_background.urdf"
-"""The file of the background; no object can have this name."""
+"""The file name of the background, which no object can have."""
 
 GRASP_ITERATIONS = 200
-"""Solver iterations per step for scenes with robots. With Bullet's default of 50, a marker between the pads of a 2F-85
-creeps by up to 2 cm and rotates during a motion; with 200 it creeps by 5 mm, with 500 by 2 mm in three times the
-time."""
+"""Solver iterations per step in scenes with robots. With Bullet's default of 50, a marker held by a 2F-85 gripper
+creeps by up to 2 cm and rotates while the arm moves. With 200 iterations it creeps by 5 mm; 500 iterations reduce this
+to 2 mm but take three times as long."""
 
 _GRIPS = {
-    False: "It has the friction of its file, which Bullet multiplies with the square roots of the scene's.",
-    True: "It grips as in MuJoCo, which uses the larger friction; if the scene's differ, with a value between them.",
+    False: "It uses the friction in its file, which Bullet multiplies by the square root of the scene's.",
+    True: "It grips as in MuJoCo, which uses the larger friction; for unequal scene frictions, this is approximate.",
 }
 _MOTORS = {
     False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
-    True: "An arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
+    True: "The arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
 }
-"""The losses of a robot's surfaces and motors; the key is true if the robot was converted from its MJCF."""
+"""The reasons for the losses of robot surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
 NEAR, FAR = 0.01, 100.0
-"""Near and far clipping distances of the cameras [m]: a wrist camera sees its own fingers at 2 cm; no room is
-larger."""
+"""Near and far clipping distances of the cameras [m]. A wrist camera sees its own fingers at 2 cm, and no room is
+larger than the far distance."""
 
 _LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
-    """Compile a scene for PyBullet with time step ``timestep`` [s]; raise InvalidSceneError for invalid names."""
+    """Compile a scene for PyBullet with a time step of ``timestep`` [s]; raise InvalidSceneError for invalid names."""
     check_names(scene)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
@@ -94,7 +94,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
 
 
 def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dict[str, object]:
-    """Return the entry of one Bullet body, an object or a freely moving part of one; empty keys are omitted."""
+    """Return the entry of a Bullet body, which is an object or a freely moving part of one; empty keys are omitted."""
     item = tree.owner
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     body: dict[str, object] = {
@@ -108,7 +108,7 @@ def _body(tree: Tree, resistances: surfaces.Resistances, timestep: float) -> dic
 
 
 def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[str, object]:
-    """Return the joint motions and link contacts of one body."""
+    """Return the ball joints, mimic joints, drives and collision settings of one body."""
     item = tree.owner
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
     touching = any(names.issuperset(pair) for pair in contact_pairs(item))
@@ -123,7 +123,7 @@ def _articulation(tree: Tree, moving: Sequence[Joint], timestep: float) -> dict[
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
-    """Return the robots of a scene as URDFs by name, and the losses of robots and mounted cameras."""
+    """Return a scene's robots as URDFs by name, and the losses of robots and mounted cameras."""
     robots, losses = {}, []
     for robot in scene.robots:
         found = robot_urdf(robot, write)
@@ -141,7 +141,7 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
 
 
 def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, object]:
-    """Return the entry of a robot in ``world.json``: its pose, motors and mimic joints."""
+    """Return a robot's entry in ``world.json``, with its pose, motors and mimic joints."""
     motors = {
         name: {"target": rounded(position), "force": rounded(robot.efforts[name])} | _servo(robot, name, timestep)
         for name, position in robot.positions.items()
@@ -163,12 +163,12 @@ def robot_entry(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, ob
 
 
 def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
-    """Return the gains of a servo for Bullet, whose motors are velocity constraints; empty if they are unknown.
+    """Return the gains of a servo for Bullet, whose motors are velocity constraints, or nothing if they are unknown.
 
-    A spring and damper move a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
-    error`` in a step of ``timestep`` [s], with any force that this requires. Gripper joints keep their stiffness,
-    because the loader's ``press`` bounds their force with it. Arm joints do not sag, so this bound would only make them
-    oscillate.
+    A spring and damper move a light joint at the velocity ``stiffness * error / damping``. Bullet's motor moves it by
+    ``gain * error`` per step of ``timestep`` [s], using as much force as necessary. Gripper joints keep their
+    stiffness, which the loader's ``press`` uses to limit their force. For arm joints, which do not sag, this limit
+    would only cause oscillations.
     """
     if joint not in robot.servos:
         return {}
@@ -179,12 +179,12 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
 
 
 def with_rotors(item: SceneObject) -> SceneObject:
-    """Return the object with the armature of each rotating joint added to the inertia of the link below it.
+    """Return a copy of the object with the armature of each rotating joint added to the inertia of its child link.
 
-    Geared motors contribute most of the inertia of a finger, up to a thousand times that of its links. Bullet resolves
-    contacts by a few dozen impulses per step, each proportional to the inertia it acts on; bare fingers, 1e-5 kg m^2,
-    would press with a hundredth of their motor's force. A rotor is added as a thin disk, with half its inertia about
-    the transverse axes, because Bullet treats a physically impossible inertia as zero.
+    Geared motors contribute most of a finger's inertia, up to a thousand times that of its links. Bullet resolves
+    contacts with a few dozen impulses per step, each proportional to the inertia it acts on. Without rotors, fingers of
+    1e-5 kg m^2 would therefore press with only a hundredth of their motor's force. Each rotor is modeled as a thin disk
+    with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
     rotors = {
         joint.child: joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))
@@ -199,7 +199,7 @@ def with_rotors(item: SceneObject) -> SceneObject:
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
-    """Return the image size, view matrix and projection matrix; both matrices are column-major, as in OpenGL."""
+    """Return the image size, view matrix and projection matrix of a camera, with column-major matrices as in OpenGL."""
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     view = flip @ camera.X_WC.inverse().matrix
     return {
@@ -211,7 +211,7 @@ def camera_arguments(camera: Camera) -> dict[str, object]:
 
 
 def projection_matrix(camera: Camera) -> Array:
-    """Return OpenGL's projection matrix of a pinhole camera, shape (4, 4); the center of the first pixel is (0, 0)."""
+    """Return a pinhole camera's OpenGL projection matrix, shape (4, 4); the first pixel's center is (0, 0)."""
     left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
     top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
     return np.array(
@@ -225,7 +225,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
-    """Return the light of an image and the sum of the dome lights; empty for a scene without lights."""
+    """Return the arguments for the main light and the sum of all dome lights; empty for a scene without lights."""
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)

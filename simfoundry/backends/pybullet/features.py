@@ -1,4 +1,4 @@
-"""The losses of a scene in PyBullet; ``features.yaml`` has the fidelity of each feature."""
+"""Losses of a scene in PyBullet; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -16,34 +16,32 @@ from simfoundry.scene.model import Light, LightType, Link, Scene, SceneObject
 FEATURES = read_cells(Path(__file__).parent)
 
 _LIGHTS = {
-    LightType.DISTANT: "PyBullet shades surfaces with its own model: brightness differs, and shadows are soft.",
+    LightType.DISTANT: "PyBullet uses its own shading model: the brightness differs, and shadows are soft.",
     LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
     LightType.DOME: "PyBullet adds its mean intensity, without its color, to the ambient light.",
 }
 
 
 def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> Iterator[Loss]:
-    """Yield the losses of a scene in PyBullet at steps of ``timestep`` [s], except those of its robots."""
+    """Yield the losses of a scene in PyBullet for a time step of ``timestep`` [s], except those of its robots."""
     colliders = [collider for item in scene.objects for link in item.links for collider in link.colliders]
     if any(collider.friction > 0 for collider in colliders):
-        reason = (
-            "Bullet's friction depends on the direction: it is up to 9 % below Coulomb's between the two friction axes."
-        )
+        reason = "Bullet's friction depends on direction; between the two friction axes, it is up to 9 % too low."
         yield approximate("friction", "", reason, 9, "%")
     if any(collider.restitution > 0 for collider in colliders):
-        reason = "Bullet resolves impacts at step boundaries: a rebound differs from the coefficient by up to 0.15."
+        reason = "Bullet resolves impacts at step boundaries; the rebound differs from the coefficient by up to 0.15."
         yield approximate("restitution", "", reason, 0.15)
     for field, found in resistances.items():
-        if found.error > 1e-9:  # the rounding of a product
-            reason = f"{FEATURES[field].reason} The worst pair is {found.error:.0%} off."
+        if found.error > 1e-9:  # ignores rounding errors
+            reason = f"{FEATURES[field].reason} The worst pair is off by {found.error:.0%}."
             yield approximate(field, "", reason, 100 * found.error, "%")
     for item in scene.objects:
         for link in item.links:
             yield from _surface_losses(item, link)
         if any(isinstance(collider.geometry, Mesh) for link in item.links for collider in link.colliders):
             reason = (
-                "Bullet's skin rounds the edges of convex meshes by 1 mm and sharp tips by more, or thickens meshes "
-                "where they are thinner than it."
+                "Bullet's collision margin rounds edges of convex meshes by 1 mm and sharp tips by more, and thickens "
+                "meshes that are thinner than the margin."
             )
             yield approximate("convex_mesh", item.name, reason, 1000 * SKIN, "mm")
         yield from joint_losses(item)

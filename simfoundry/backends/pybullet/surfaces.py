@@ -1,12 +1,13 @@
 """Collision shapes and surfaces in Bullet.
 
-A link has one friction, one restitution and one resistance for all of its colliders. Bullet multiplies the friction and
-restitution of two bodies; each link therefore has the square root of its own value, which gives a pair the geometric
+A link has a single friction, restitution and resistance for all of its colliders. Bullet multiplies the frictions and
+the restitutions of two bodies, so each link stores the square root of its own value; the product is then the geometric
 mean.
 
-For spinning and rolling, Bullet's resistance of a pair is the sum of each link's coefficient times the sliding friction
-of the other link; the scene uses the larger of the two. If a resisting link only meets links with one friction, a
-single number is exact. If it meets several, a middle value is used, and :class:`Resistance` states the error.
+For spinning and rolling, Bullet's pairwise resistance is the sum of each link's coefficient times the sliding friction
+of the other link, whereas the scene uses the larger resistance of the two links. If all links that a resisting link can
+touch have the same friction, one value is exact. Otherwise, an intermediate value is used, and :class:`Resistance`
+contains the error.
 
 Convex meshes are shrunk by the collision margin that Bullet adds around them.
 """
@@ -28,30 +29,30 @@ from simfoundry.scene.model import Link, Scene, SceneObject, pair_resistance
 
 
 class Resistance(NamedTuple):
-    """The value written for each link by qualified name, and the largest relative error of any pair."""
+    """The value written for each link, by qualified name, and the largest relative error of any pair."""
 
     written: dict[str, float]
     error: float
 
 
 Resistances = dict[str, Resistance]
-"""The resistance to spinning and rolling, by the field of a collider."""
+"""The resistances to spinning and rolling, by collider field name."""
 
 
 class _BulletSurface(NamedTuple):
-    """The sliding friction of a link as Bullet stores it, and the scene's resistance [m]."""
+    """A link's sliding friction as stored in Bullet, and its resistance in the scene [m]."""
 
     friction: float
     resistance: float
 
 
 def link_friction(link: Link) -> float:
-    """Return the friction coefficient that represents all colliders of a link: their geometric mean."""
+    """Return the geometric mean of the friction coefficients of all colliders in a link."""
     return _geometric_mean([collider.friction for collider in link.colliders])
 
 
 def link_restitution(link: Link) -> float:
-    """Return the restitution that represents all colliders of a link: their geometric mean."""
+    """Return the geometric mean of the restitutions of all colliders in a link."""
     return _geometric_mean([collider.restitution for collider in link.colliders])
 
 
@@ -62,10 +63,10 @@ def _geometric_mean(values: list[float]) -> float:
 
 
 def robot_friction(link: Link, scene: Scene) -> float:
-    """Return Bullet's friction for a link of a converted robot, so that its grip matches MuJoCo.
+    """Return Bullet's friction coefficient for a link of a converted robot, chosen to match its grip in MuJoCo.
 
-    MuJoCo uses the larger of the two frictions; Bullet multiplies this value by the square root of the object's. The
-    result is exact if all objects have the same friction, and a middle value if they do not.
+    MuJoCo uses the larger friction of a pair, whereas Bullet multiplies this coefficient by the square root of the
+    object's friction. The result is exact if all objects have the same friction, and an intermediate value otherwise.
     """
     own = link_friction(link)
     met = {link_friction(k) for item in scene.objects for k in item.links if k.colliders} - {0.0}
@@ -74,7 +75,7 @@ def robot_friction(link: Link, scene: Scene) -> float:
 
 
 def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dict[str, float]:
-    """Return the arguments of ``changeDynamics`` for a link."""
+    """Return the ``changeDynamics`` arguments for a link."""
     surface = {
         "lateral_friction": rounded(math.sqrt(link_friction(link))),
         "restitution": rounded(math.sqrt(link_restitution(link))),
@@ -86,12 +87,12 @@ def surface_data(item: SceneObject, link: Link, resistances: Resistances) -> dic
 
 
 def scene_resistances(scene: Scene) -> Resistances:
-    """Return the resistance to spinning and rolling of all links of a scene."""
+    """Return the spinning and rolling resistances of all links in a scene."""
     return {field: _resistance(scene, field) for field in ("torsional_friction", "rolling_friction")}
 
 
 def _resistance(scene: Scene, field: str) -> Resistance:
-    """Return the values to write for the largest resistance ``field`` of each link [m]."""
+    """Return the values to write for a resistance ``field``, based on the largest value in each link [m]."""
     owners: dict[_BulletSurface, set[str]] = {}
     surfaces: dict[str, _BulletSurface] = {}
     for item, link in [(o, k) for o in scene.objects for k in o.links if k.colliders]:
@@ -108,7 +109,10 @@ def _resistance(scene: Scene, field: str) -> Resistance:
 
 
 def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[float]:
-    """Return the value that is exact for ``a`` with each of the others; if both resist, each contributes its share."""
+    """Return, for each of the ``others``, the value of ``a`` that is exact for this pair.
+
+    If both links have resistance, each of them contributes its share.
+    """
     if not a.resistance:
         return []
     return [
@@ -119,12 +123,12 @@ def _exact_values(a: _BulletSurface, others: Iterable[_BulletSurface]) -> list[f
 
 
 def _middle(values: list[float]) -> float:
-    """Return the geometric middle of the smallest and the largest value, 0 if there are none."""
+    """Return the geometric mean of the smallest and the largest value, or 0 if there are no values."""
     return math.sqrt(min(values) * max(values)) if values else 0.0
 
 
 def _error(a: _BulletSurface, b: _BulletSurface, written: dict[_BulletSurface, float]) -> float:
-    """Return the relative error of Bullet's resistance for a pair."""
+    """Return the relative error of Bullet's resistance for a pair of links."""
     found = written[a] * b.friction + written[b] * a.friction
     return abs(found / pair_resistance(a.resistance, b.resistance) - 1)
 
@@ -134,7 +138,7 @@ SKIN = 1e-3
 
 
 def split_under_skin() -> Split:
-    """Return a split that shrinks each mesh by Bullet's margin; a mesh too thin to shrink is unchanged."""
+    """Return a split that shrinks each mesh by Bullet's margin; a mesh that is too thin to shrink is unchanged."""
     done: dict[str, Mesh] = {}
 
     def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
@@ -149,9 +153,9 @@ def split_under_skin() -> Split:
 
 
 def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
-    """Return the convex hull of a mesh with every face moved inward by ``distance`` [m]; None if it is too thin.
+    """Return a mesh's convex hull with every face moved inward by ``distance`` [m], or None if the mesh is too thin.
 
-    With a margin of the same size, the faces are in their original places and the edges are rounded.
+    With a margin of the same size, the faces are in their original position and the edges are rounded.
     """
     from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
@@ -162,7 +166,7 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
             return None
         planes = planes + np.array([0.0, 0.0, 0.0, distance])
         corners = HalfspaceIntersection(planes, inside).intersections
-        corners = np.unique(np.round(corners, 10), axis=0)  # a triangulated face gives each corner many times
+        corners = np.unique(np.round(corners, 10), axis=0)  # a triangulated face yields the same corner several times
         hull = ConvexHull(corners)
     except QhullError:  # flat, or too small for floating point
         return None
@@ -170,7 +174,7 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
 
 
 def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
-    """Return a point at least ``depth`` [m] below every plane: the guess if it qualifies, else the deepest point."""
+    """Return a point at least ``depth`` [m] below every plane: the guess if possible, or else the deepest point."""
     from scipy.optimize import linprog
 
     if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
@@ -183,7 +187,7 @@ def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
 
 
 def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
-    """Return the triangles in counter-clockwise order as seen from outside, int32, shape (m, 3)."""
+    """Return the triangles in counterclockwise order as seen from outside, int32, shape (m, 3)."""
     a, b, c = (points[simplices[:, k]] for k in range(3))
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
     faces = simplices.astype(np.int32)

@@ -1,1 +1,1 @@
-"""Robot models for all backends: read by MuJoCo, converted to an object of links and joints, and written as URDF."""
+"""Robot models for all backends, which are read by MuJoCo, converted to articulated objects, and written as URDF."""

@@ -1,7 +1,7 @@
-"""Robots as MuJoCo reads them, from MJCF or URDF, with meshes named by their content.
+"""Robots read by MuJoCo from MJCF or URDF, with meshes named by a hash of their content.
 
-MuJoCo is the only reader here that supports both formats; its result is also what gets converted for targets without a
-model in their own format.
+MuJoCo is the only available reader for both formats. If a robot has no model in a target's own format, the model read
+by MuJoCo is converted.
 """
 
 from __future__ import annotations
@@ -26,23 +26,26 @@ if TYPE_CHECKING:
     import mujoco
 
 _SERVO_ERROR = 0.005
-"""Error at which a servo added to a joint without one reaches its maximum force [rad or m]."""
+"""Position error [rad or m] at which a servo that was added to an unactuated joint reaches its maximum force."""
 
 _EFFORT = 100.0
-"""Maximum force of a servo [N m or N] if the model does not limit it."""
+"""Maximum force of an added servo [N m or N] if the model does not limit it."""
 
 _OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="false" meshdir=""/></mujoco>'
 
 
 class RobotModelError(SimfoundryError):
-    """A robot model that cannot be used; the message names the robot and the problem."""
+    """Raised if a robot model cannot be used; the message names the robot and the problem."""
 
 
 @dataclass(frozen=True, eq=False)
 class MujocoRobot:
-    """A robot in MuJoCo: its ``spec``, whose names all start with ``prefix``, compiled as ``model``; its mesh and
-    texture ``files`` by name; the initial state ``qpos``, shape (nq,), and ``ctrl``, shape (nu,); and the ``servos``
-    that were added."""
+    """A robot in MuJoCo.
+
+    All names in ``spec`` start with ``prefix``, and ``model`` is its compiled form. ``files`` contains the meshes and
+    textures by name. The initial state consists of ``qpos``, shape (nq,), and ``ctrl``, shape (nu,). ``servos`` names
+    the actuators that were added.
+    """
 
     native: NativeModel
     prefix: str
@@ -54,9 +57,13 @@ class MujocoRobot:
     servos: tuple[str, ...]
 
 
-@lru_cache(maxsize=4)  # all targets of a compile read the same robot; robots compare by identity
+@lru_cache(maxsize=4)  # all targets read the same robot, and robots are compared by identity
 def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
-    """Read a robot's MJCF or URDF with the base at the origin. Raises :class:`RobotModelError`."""
+    """Read a robot's MJCF or URDF with its base at the origin.
+
+    Raises:
+        RobotModelError: If MuJoCo cannot read the model.
+    """
 
     files: dict[str, bytes] = {}
     try:
@@ -70,7 +77,7 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
             _explicit_masses(spec, model)
     except (ValueError, OSError, KeyError) as error:
         reason = str(error).strip().splitlines()[0]
-        raise RobotModelError(f"robot `{robot.name}`: MuJoCo cannot read {native.file}: {reason}") from error
+        raise RobotModelError(f"robot `{robot.name}`: MuJoCo could not read {native.file}: {reason}") from error
     qpos = _start(robot, native, prefix, model, home[0] if len(home[0]) == model.nq else model.qpos0)
     ctrl = _controls(native, prefix, model, qpos, home[1] if len(home[1]) == model.nu else np.zeros(model.nu))
     return MujocoRobot(native, prefix, spec, model, files, qpos, ctrl, servos)
@@ -79,8 +86,10 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
 def _assemble(
     native: NativeModel, prefix: str, files: dict[str, bytes]
 ) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
-    """Return one spec of the model and its attached models below the world origin, and the positions and controls of
-    its keyframe ``home``, empty if there is none."""
+    """Return a single spec that combines the model with its attached models at the world origin.
+
+    Also returns the positions and controls in its keyframe ``home``, which are empty if there is no such keyframe.
+    """
     import mujoco
 
     whole = _read(native.file, files)
@@ -89,7 +98,7 @@ def _assemble(
     for part in native.attached:
         carrier = whole.body(part.to)
         if carrier is None:
-            raise ValueError(f"it has no body `{part.to}` to which {part.file.name} can be attached")
+            raise ValueError(f"it has no body `{part.to}` to attach {part.file.name} to")
         child = _read(part.file, files)
         _same_options(whole, child)
         frame = carrier.add_frame(pos=part.X_LB.p, quat=part.X_LB.q)
@@ -103,14 +112,14 @@ def _assemble(
 
 
 def _same_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
-    """Copy the options of ``source`` to ``target``; otherwise MuJoCo warns when it attaches models."""
+    """Copy the options of ``source`` to ``target``, because MuJoCo otherwise warns when it attaches models."""
     for name in dir(source.option):
         if not name.startswith("_"):
             setattr(target.option, name, getattr(source.option, name))
 
 
 def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
-    """Read a model; its meshes and textures are renamed by content and added to ``files``."""
+    """Read a model, rename its meshes and textures by content, and add them to ``files``."""
     import mujoco
 
     if file.suffix.lower() == ".urdf":
@@ -125,7 +134,7 @@ def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
     for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
         for k, item in enumerate(items):
             item.name = item.name or f"{kind}{k}"
-    for light in list(spec.lights):  # lights in the file are not part of the robot
+    for light in list(spec.lights):  # the lights in the file are not part of the robot
         spec.delete(light)
     return spec
 
@@ -138,7 +147,7 @@ def _keep(path: Path, files: dict[str, bytes]) -> str:
 
 
 def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
-    """Return the text of a URDF with meshes named by content; meshes that MuJoCo cannot read (COLLADA) are omitted."""
+    """Return a URDF's text with meshes named by content, omitting COLLADA meshes, which MuJoCo cannot read."""
     text = file.read_text(encoding="utf-8")
     for name in urdf_meshes(text):
         path = urdf_mesh(file, name)
@@ -151,7 +160,7 @@ def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
 
 
 def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write each body's mass and inertia explicitly, because the scene's options forbid deriving them from geoms."""
+    """Set each body's mass and inertia explicitly, because the scene's options prevent deriving them from geoms."""
     for body in spec.bodies[1:]:
         k = model.body(body.name).id
         if model.body_mass[k] > 0:
@@ -162,7 +171,7 @@ def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str, float]) -> Iterator[str]:
-    """Add a position servo to every joint of a model that has no actuators; yield their names."""
+    """Add a position servo to every joint of a model without actuators, and yield their names."""
     import mujoco
 
     if model.nu > 0:
@@ -183,7 +192,7 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
 
 
 def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
-    """Return the initial positions: those of the scene and the gripper, otherwise those of the keyframe ``home``."""
+    """Return the initial positions from the scene and the gripper, and otherwise from the keyframe ``home``."""
     import mujoco
 
     qpos = np.array(home)
@@ -196,7 +205,8 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + name)
         if joint < 0:
             there = ", ".join(model.joint(k).name.removeprefix(prefix) for k in range(model.njnt))
-            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
+            where = f"robot `{robot.name}`: {native.file.name}"
+            raise RobotModelError(f"{where} has no joint `{name}`; available joints: {there}")
         qpos[model.jnt_qposadr[joint]] = position
     return qpos
 
@@ -204,7 +214,7 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
 def _controls(
     native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray, home: np.ndarray
 ) -> np.ndarray:
-    """Return the controls that hold the initial state: each servo's target is its joint position; grippers are open."""
+    """Return the controls that hold the initial state, with servo targets at the joint positions and open grippers."""
     import mujoco
 
     command = native.gripper.command if native.gripper is not None else {}
@@ -224,30 +234,30 @@ def _controls(
 def xml(read: MujocoRobot) -> str:
     """Return the robot's MJCF, in which every name starts with its prefix."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the warnings about meshes would repeat
+        warnings.simplefilter("ignore")  # otherwise the warnings about meshes are repeated
         return str(read.spec.to_xml())
 
 
 def body_name(read: MujocoRobot, frame: str) -> str:
-    """Return the name in the target of the body for a robot frame; raise :class:`RobotModelError` if it is missing."""
+    """Return the prefixed name of the body for a robot frame; raise :class:`RobotModelError` if it does not exist."""
     link = read.native.frame(frame).link if frame else root_name(read).removeprefix(read.prefix)
     name = read.prefix + link
     bodies = [body.name for body in read.spec.bodies]
     if name not in bodies:
         there = ", ".join(b.removeprefix(read.prefix) for b in bodies[1:])
-        raise RobotModelError(f"{read.native.file.name} has no link `{link}`; there are: {there}")
+        raise RobotModelError(f"{read.native.file.name} has no link `{link}`; available links: {there}")
     return name
 
 
 def root_name(read: MujocoRobot) -> str:
-    """Return the name in the target of the robot's first body."""
+    """Return the prefixed name of the robot's first body."""
     return str(read.spec.bodies[1].name)
 
 
 def document_fields(robot: Robot) -> dict[str, object] | None:
-    """Return the fields of a robot in a scene document except its pose; None for a robot without a description.
+    """Return a robot's fields in a scene document, except its pose, or None for a robot without a description.
 
-    They are written beside the robot's model so that an import restores the robot instead of an articulated object.
+    They are written alongside the robot's model so that an import restores the robot instead of an articulated object.
     """
     if robot.kind == FILES_ONLY:
         return None

@@ -1,7 +1,7 @@
-"""A robot as an object of links and joints, or as a URDF, for targets without a model in their own format.
+"""Conversion of a robot to an articulated object or a URDF, for targets for which it has no model in their own format.
 
-The model that MuJoCo has read is expressed in the terms of a scene: a tree of links with masses, shapes and joints.
-Closed loops are cut; the robot's ``follow`` describes their effect on the joints.
+The model read by MuJoCo is converted to the scene's representation: a tree of links with masses, shapes and joints.
+Closed loops are cut, and the robot's ``follow`` describes their effect on the joints.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ if TYPE_CHECKING:
 
 
 _LIGHTEST, _LEAST = 1e-6, 1e-9
-"""Mass [kg] and moments of inertia [kg m^2] of a massless link; most engines reject zero."""
+"""Mass [kg] and moments of inertia [kg m^2] that replace those of a massless link, because most engines reject zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotObject:
-    """A robot as an ``item``. ``links`` and ``joints`` map the model's names to the item's names, which have no dots.
+    """A robot converted to an object, its ``item``.
 
-    ``loops`` is the number of closed loops that were cut.
+    ``links`` and ``joints`` map the model's names to the item's names, which contain no dots. ``loops`` is the number
+    of closed loops that were cut.
     """
 
     item: SceneObject
@@ -50,7 +51,11 @@ class RobotObject:
 
 @lru_cache(maxsize=4)
 def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
-    """Return the robot at its pose and joint positions. Raises :class:`RobotModelError` if it is not a tree."""
+    """Return the robot as an object at its pose and joint positions.
+
+    Raises:
+        RobotModelError: If the model is not a tree of links connected by single-axis joints.
+    """
     model = read.model
     bodies = _bodies(robot, model)
     names = _names([model.body(b).name.removeprefix(read.prefix) for b in bodies])
@@ -80,25 +85,29 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
 
 
 def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
-    """Return the item's joint names by the model's names. Raises :class:`RobotModelError` if it is not a tree."""
+    """Return a mapping from the model's joint names to the item's joint names.
+
+    Raises:
+        RobotModelError: If the model is not a tree of links connected by single-axis joints.
+    """
     model = read.model
     moving = (int(model.body_jntadr[b]) for b in _bodies(robot, model) if model.body_jntnum[b])
     return _names([model.joint(j).name.removeprefix(read.prefix) for j in moving])
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
-    """Return the bodies that become links, parents first; the world is omitted if it only supports the base."""
+    """Return the bodies that become links, parents first, without the world if it does nothing but support the base."""
     for b in range(model.nbody):
         if model.body_jntnum[b] > 1 or (model.body_jntnum[b] and int(model.jnt_type[model.body_jntadr[b]]) < 2):
             name = model.body(b).name
-            raise RobotModelError(f"robot `{robot.name}`: body `{name}` does not move by one hinge or slide")
+            raise RobotModelError(f"robot `{robot.name}`: body `{name}` has joints other than one hinge or slide")
     tops = [b for b in range(1, model.nbody) if model.body_parentid[b] == 0]
     alone = len(tops) == 1 and model.body_jntnum[tops[0]] == 0 and model.body_geomnum[0] == 0
     return list(range(1 if alone else 0, model.nbody))
 
 
 def _names(given: list[str]) -> dict[str, str]:
-    """Return unique names that are valid in a scene, by the model's names."""
+    """Return a mapping from the model's names to unique names that are valid in a scene."""
     names: dict[str, str] = {}
     for k, text in enumerate(given):
         plain = re.sub(r"[^a-z0-9_]+", "_", text.lower()).strip("_") or f"part{k}"
@@ -110,7 +119,7 @@ def _names(given: list[str]) -> dict[str, str]:
 
 
 def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
-    """Return a body as a link whose frame is moved by ``shift`` [m] to its joint."""
+    """Return a body as a link whose frame is shifted by ``shift`` [m] to its joint."""
     mass = max(float(model.body_mass[b]), _LIGHTEST)
     moments = np.maximum(model.body_inertia[b], _LEAST)
     axes = Pose.of(q=model.body_iquat[b]).rotation
@@ -124,7 +133,7 @@ def _link(model: mujoco.MjModel, b: int, name: str, shift: Array) -> Link:
         convex = hull_mesh(geometry.vertices) if collides and isinstance(geometry, Mesh) else geometry
         if collides and convex is not None:
             colliders.append(Collider(f"collider{g}", convex, float(model.geom_friction[g][0]), 0.0, X_LG))
-        if not collides or model.geom_group[g] < 3:  # groups 0 to 2 are what a viewer shows
+        if not collides or model.geom_group[g] < 3:  # viewers show groups 0 to 2
             visuals.append(Visual(f"visual{g}", geometry, frozen_array(_rgba(model, g)), X_LG))
     com = frozen_array(model.body_ipos[b] - shift)
     return Link(name, mass, com, frozen_array(axes @ np.diag(moments) @ axes.T), tuple(visuals), tuple(colliders))
@@ -136,7 +145,7 @@ def _rgba(model: mujoco.MjModel, g: int) -> Array:
 
 
 def _geometry(model: mujoco.MjModel, g: int) -> Geometry | None:
-    """Return the shape of a geom; None for a plane, which is never part of a robot."""
+    """Return the shape of a geom, or None for a plane, which is never part of a robot."""
     import mujoco
 
     size, kinds = model.geom_size[g], mujoco.mjtGeom
@@ -179,14 +188,14 @@ def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: t
         armature=float(model.dof_armature[dof]),
         position=float(qpos[at]),
     )
-    reference = float(model.qpos0[at])  # the model's poses are those at this position
+    reference = float(model.qpos0[at])  # the joint position at which the model's poses are defined
     if reference == 0.0:
         return joint
     return replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
 
 
 def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
-    """Return the actuators that drive a single joint, and those of the gripper for each joint that leads others."""
+    """Return the actuators that drive a single joint, and the gripper's actuators for each joint that leads others."""
     import mujoco
 
     model, drives = read.model, {}
@@ -211,7 +220,7 @@ def _leaders(read: MujocoRobot) -> Iterator[str]:
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """Return the mimic of each joint, from the description or the model's equations, and the number of loops cut."""
+    """Return each joint's mimic, from the description or the model's equations, and the number of cut loops."""
     import mujoco
 
     model, gripper = read.model, read.native.gripper
@@ -229,21 +238,21 @@ def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic],
 
 
 Write = Callable[[SceneObject], Mapping[str, bytes]]
-"""Function that writes an object as ``<name>.urdf`` and returns it with its assets."""
+"""A function that writes an object as ``<name>.urdf`` and returns this file with its assets."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _STRONG = 100.0
-"""Maximum force [N m or N] of a joint whose URDF does not state one."""
+"""Maximum force [N m or N] of a joint for which the URDF does not specify one."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotUrdf:
-    """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
+    """A robot as URDF, with the file at ``path`` in ``files`` and the root link at ``X_WB``.
 
-    ``positions`` [rad or m], ``efforts`` [N m or N] and ``follow`` are keyed by the URDF's joints. So are the
-    ``servos`` whose gains are known: stiffness [N m/rad or N/m], and damping including that of the joint itself.
-    ``joints`` maps the scene's joint names to the URDF's, ``frames`` maps the scene's frames to its links. ``item`` is
-    the object from which the URDF was converted, if any.
+    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` and ``servos`` are keyed by the URDF's joint names.
+    ``servos`` contains only those with known gains: the stiffness [N m/rad or N/m], and the damping, which includes
+    that of the joint itself. ``joints`` maps joint names in the scene to those in the URDF, and ``frames`` maps frames
+    in the scene to links. ``item`` is the object from which the URDF was converted, if any.
     """
 
     path: str
@@ -261,7 +270,7 @@ class RobotUrdf:
 
 
 def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
-    """Return the robot as URDF; None if it has neither URDF nor MJCF. Raises :class:`RobotModelError`."""
+    """Return the robot as URDF, or None if it has neither URDF nor MJCF; raise :class:`RobotModelError` on errors."""
     native = robot.best(ModelFormat.URDF)
     if native is not None:
         return _native(robot, native)
@@ -281,7 +290,8 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
     for name in start:
         if name not in names:
             there = ", ".join(names)
-            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
+            where = f"robot `{robot.name}`: {native.file.name}"
+            raise RobotModelError(f"{where} has no joint `{name}`; available joints: {there}")
     follow = dict(_stated_mimics(moving)) | (dict(native.gripper.follow) if native.gripper is not None else {})
     efforts = {name: native.effort.get(name, _effort(joint)) for name, joint in zip(names, moving, strict=True)}
     return RobotUrdf(
@@ -315,9 +325,9 @@ def _effort(joint: ET.Element) -> float:
 
 
 def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
-    """Copy a URDF and its meshes below ``robots/``, preserving their relative layout; also return the URDF's path.
+    """Copy a URDF and its meshes to ``robots/``, preserving their relative layout, and return the URDF's path as well.
 
-    Mesh paths in the URDF become relative to it; the rest of the text is unchanged.
+    Mesh paths are made relative to the URDF; the rest of the text is unchanged.
     """
     needed = model_files(native.file)
     top = Path(os.path.commonpath([file.parent for file in needed]))
@@ -357,16 +367,16 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 
 
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
-    """Yield the losses of a robot that is converted from its MJCF or URDF."""
+    """Yield the losses of converting a robot from its MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"It has no model in this format; it is converted from its {kind}, with convex hulls as colliders."
+    reason = f"It has no model in this format; its {kind} is converted, with convex hulls as colliders."
     yield approximate("robots", robot.name, reason)
     if loops:
         words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
-        reason = f"{words} cut; mimic joints with fixed ratios replace them."
+        reason = f"{words} cut and replaced by mimic joints with fixed ratios."
         yield approximate("robots", robot.name, reason, loops, "loops")
 
 
 def without_model(name: str) -> Loss:
-    """Return the loss of a robot that has neither an MJCF nor a URDF."""
-    return drop("robots", name, "It has no model in MJCF or URDF, and its USD cannot be converted.")
+    """Return the loss for a robot that has neither an MJCF nor a URDF."""
+    return drop("robots", name, "It has no MJCF or URDF model, and its USD cannot be converted.")

@@ -1,11 +1,11 @@
-"""URDF: one file per object, and ``poses.json`` for poses and joint positions, which URDF cannot represent.
+"""URDF backend, which writes one file per object, and ``poses.json`` with the poses and joint positions.
 
-``physics.json`` holds further simulation properties; the loaders for Drake, Genesis and SAPIEN use it.
+``physics.json`` contains further simulation properties, which the loaders for Drake, Genesis and SAPIEN use.
 
-A free object is a robot whose root is not attached to anything. ``floating`` joints are never written, because PyBullet
-freezes them and Drake loses their poses. An inertial frame has the axes of its link, and the file states the products
-of inertia, because some readers ignore a rotation of that frame. Links, joints and colliders have the names of the
-scene; the robot has the name of the object.
+A free object is written as a robot whose root is not attached to anything. ``floating`` joints are never written,
+because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their link, and products of
+inertia are written explicitly, because some readers ignore the rotation of inertial frames. Links, joints and colliders
+keep their names from the scene; the robot is named after the object.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 
 _LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
-"""The loaders in a build, with the ``targets/`` folder that each comes from."""
+"""The loaders in a build, with the ``targets/`` folder from which each of them is copied."""
 
 
 def compile_urdf(scene: Scene) -> Artifact:
-    """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for invalid names."""
+    """Compile a scene to URDFs; raise :class:`InvalidSceneError` if a name is invalid."""
     check_names(scene)
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)

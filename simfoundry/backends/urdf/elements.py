@@ -1,4 +1,4 @@
-"""Objects as URDF: links, joints, geometries and materials, one file for each freely moving part."""
+"""Conversion of objects to URDF elements, with one file per freely moving part."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_na
 from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
 
 Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
-"""Function that splits a geometry into parts that a dialect supports: a name suffix, the part, and its pose
-``X_GP``."""
+"""A function that splits a geometry into parts that a dialect supports, and yields a name suffix, the part and its pose
+``X_GP`` for each of them."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """The visual and collision geometries that a URDF reader supports.
+    """The features that a URDF reader supports: splits for visual and collision geometries, and ball joints.
 
-    ``ball`` is its joint type for a ball joint; if None, the link is welded in its initial pose.
+    ``ball`` is the joint type for ball joints; if it is None, the link is welded in its initial pose.
     """
 
     visual: Split
@@ -34,15 +34,15 @@ class Dialect:
 
 
 _TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Rows and columns of the inertia matrix in the usual order of URDF's attributes."""
+"""Rows and columns of the inertia matrix, in the customary order of URDF's attributes."""
 
 _EFFORT, _VELOCITY = "1000", "100"
-"""Limits of joints that have none in the scene, because URDF requires some: beyond the range of a tabletop scene [N or
-N m, m/s or rad/s]."""
+"""Effort limit [N or N m] and velocity limit [m/s or rad/s] of joints without limits. URDF requires these attributes;
+the values are beyond the range of a tabletop scene."""
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
-    """Return the URDF of every object, one for each freely moving part, and the shared assets, by path."""
+    """Return the URDFs of all objects, one per freely moving part, and their shared assets, by path."""
     files: dict[str, bytes] = {}
     for item in scene.objects:
         written = _WRITTEN.get(item)
@@ -57,18 +57,18 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
 
 
 _WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
-"""Texts shared by all dialects, kept as long as the object exists; most scenes are compiled for two dialects."""
+"""Texts that are identical in all dialects, cached for the lifetime of the object; most scenes use two dialects."""
 
 
 def _is_plain(item: SceneObject) -> bool:
-    """Return true if all dialects write an object identically: no geometry to split and no ball joint."""
+    """Return true if the URDF of an object is the same in all dialects, without geometry to split or ball joints."""
     shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
     joints = [joint for joint in item.joints if joint.type is JointType.BALL]
     return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
 
 
 def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
-    """Return the URDF of one tree of links; its assets are added to ``files``."""
+    """Return the URDF of one tree of links, and add its assets to ``files``."""
     root = ET.Element("robot", name=tree.name)
     for link in tree.links:
         _add_link(root, link, dialect, files)
@@ -78,11 +78,11 @@ def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return a visual-only URDF with one link in the world frame, and its assets except those in ``known``."""
+    """Return a visual-only URDF with a single link in the world frame, and its assets except those in ``known``."""
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
-    inertial = ET.SubElement(element, "inertial")  # without one, readers assume a mass and warn on every load
+    inertial = ET.SubElement(element, "inertial")  # otherwise readers assume a mass and print a warning
     ET.SubElement(inertial, "mass", value="0")
     ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
     for visual in background.visuals:
@@ -98,7 +98,7 @@ def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 
 def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
-    """Yield the geometry; a capsule, which URDF lacks, becomes a cylinder and two spheres of the same shape."""
+    """Yield the geometry, replacing a capsule, which URDF does not support, by a cylinder and two spheres."""
     if not isinstance(geometry, Capsule):
         yield "", geometry, IDENTITY
         return
@@ -131,7 +131,7 @@ def _add_origin(parent: ET.Element, pose: Pose) -> None:
 def _add_shape(
     link: ET.Element, tag: str, name: str, geometry: Geometry, X_LG: Pose, files: dict[str, bytes]
 ) -> ET.Element:
-    """Add a visual or collision element to a link; mesh assets are added to ``files``."""
+    """Add a visual or collision element to a link, and add its mesh assets to ``files``."""
     shape = ET.SubElement(link, tag, name=name)
     _add_origin(shape, X_LG)
     element = ET.SubElement(shape, "geometry")
@@ -153,7 +153,7 @@ def _add_shape(
 
 
 def _add_material(parent: ET.Element, visual: Visual) -> None:
-    """Add a color and, if any, a texture. Readers share materials by name, so the name depends on the content."""
+    """Add a color and an optional texture. Readers share materials by name, so the name depends on the content."""
     tint = numbers(visual.rgba)
     name = "rgba_" + tint.replace(" ", "_")
     mesh = visual.geometry
@@ -198,7 +198,7 @@ def _limit(joint: Joint) -> dict[str, str]:
 
 
 def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
-    """Return the limits to write; prismatic joints need some, because many readers lock them at zero otherwise."""
+    """Return the limits to write; prismatic joints always need limits, or else many readers lock them at zero."""
     if joint.type is JointType.CONTINUOUS:
         return None
     if joint.type is JointType.PRISMATIC and joint.limits is None:

@@ -1,4 +1,4 @@
-"""The losses of a scene in URDF and the manifests beside it; ``features.yaml`` has the fidelity of each feature."""
+"""Losses of a scene in URDF and its JSON manifests; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from simfoundry.scene.model import JointType, Scene, SceneObject
 FEATURES = read_cells(Path(__file__).parent)
 
 UNBOUNDED_M = 1000.0
-"""Limit of a prismatic joint without limits [m]: far beyond any table, and exact in single precision."""
+"""Limit of a prismatic joint without limits [m], which is far beyond any table and exact in single precision."""
 
 
 def _drop(feature: str, element: str = "") -> Loss:
@@ -21,7 +21,7 @@ def _drop(feature: str, element: str = "") -> Loss:
 
 
 def urdf_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield the losses of a scene as URDF, except those of its robots."""
+    """Yield the losses of a scene in URDF, except those of its robots."""
     yield _drop("gravity")
     for item in scene.objects:
         colliders = [collider for link in item.links for collider in link.colliders]
@@ -52,16 +52,16 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
 
 
 def robot_losses(name: str) -> tuple[Loss, Loss]:
-    """Return the losses of any robot in URDF, whichever model it has."""
+    """Return the losses that every robot has in URDF, regardless of its model."""
     return _drop("robot_motors", name), _drop("robot_contacts", name)
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:
-    """Yield the losses of joints in any dialect of URDF: armature, and prismatic joints without limits."""
+    """Yield the joint losses that occur in every URDF dialect: armatures, and prismatic joints without limits."""
     for joint in item.joints:
         element = f"{item.name}.{joint.name}"
         if joint.type is JointType.PRISMATIC and joint.limits is None:
-            reason = f"URDF requires limits for prismatic joints; {number(UNBOUNDED_M)} m both ways replace them."
+            reason = f"URDF requires limits for prismatic joints, so {number(UNBOUNDED_M)} m both ways are written."
             yield approximate("joint_limits", element, reason, UNBOUNDED_M, "m")
         if joint.armature > 0:
             yield _drop("armature", element)

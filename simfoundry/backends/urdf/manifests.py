@@ -1,4 +1,4 @@
-"""JSON files beside the URDFs: ``poses.json`` places the objects; ``physics.json`` has surfaces, drives and gravity."""
+"""JSON files next to the URDFs: ``poses.json`` with object poses, and ``physics.json`` with the other properties."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from simfoundry.scene.kinematics import Tree, excluded_link_pairs, trees
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 
 _SERVO_ERROR = 0.005
-"""Error [rad or m] at which a servo added to a robot's own URDF reaches its maximum force: 5 mrad at a reach of 0.8 m
-is 4 mm, the repeatability of arms of that size under load."""
+"""Position error [rad or m] at which a servo added to a robot's own URDF reaches its maximum force. At a reach of
+0.8 m, 5 mrad correspond to 4 mm, the repeatability of arms of this size under load."""
 
 _SERVO_TIME = 0.05
-"""Time in which such a servo corrects an error [s]: slow enough that its light links do not overshoot."""
+"""Time in which an added servo corrects an error [s], which is slow enough for light links not to overshoot."""
 
 
 def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]) -> bytes:
-    """Return ``physics.json``; collision shapes have the names and order of the URDF.
+    """Return ``physics.json``, which lists collision shapes by the same names and in the same order as the URDF.
 
-    A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and the
-    mimic joints that the URDF does not state.
+    A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and any
+    mimic joints that the URDF does not contain.
     """
     own = {name: robot for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
@@ -39,7 +39,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
 
 
 def excluded_between(scene: Scene) -> list[list[list[str]]]:
-    """Return the pairs of links of different bodies that do not collide; each link is its body and its own name."""
+    """Return the pairs of links in different bodies that do not collide; each link is given by body and link name."""
     parts = [tree for item in scene.objects for tree in trees(item)]
     home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
     own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
@@ -48,7 +48,7 @@ def excluded_between(scene: Scene) -> list[list[list[str]]]:
 
 
 def excluded_within(tree: Tree) -> list[list[str]]:
-    """Return the pairs of links of one body that do not collide."""
+    """Return the pairs of links in the same body that do not collide."""
     names = {link.name for link in tree.links}
     return [list(pair) for pair in excluded_link_pairs(tree.owner) if names.issuperset(pair)]
 
@@ -65,14 +65,17 @@ def _joint(joint: Joint) -> dict[str, object]:
 
 
 def drive_data(drive: Drive) -> dict[str, float]:
-    """Return the gains of ``stiffness * (target - position) - damping * velocity``, and its ``force_limit`` if any."""
+    """Return a drive's stiffness, damping and target, and its ``force_limit`` if any.
+
+    The force is ``stiffness * (target - position) - damping * velocity``.
+    """
     gains = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
     limit = {} if drive.force_limit is None else {"force_limit": drive.force_limit}
     return {key: rounded(value) for key, value in (gains | limit).items()}
 
 
 def mimic_data(leader: Mimic) -> dict[str, object]:
-    """Return the joint that is followed, and the ratio and offset."""
+    """Return the leading joint of a mimic joint, and its ratio and offset."""
     return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
 
 
@@ -82,7 +85,7 @@ def pose_data(pose: Pose) -> dict[str, object]:
 
 
 def _robot(robot: RobotUrdf) -> dict[str, object]:
-    """Return the motors of a robot whose own URDF states their maximum forces."""
+    """Return the motors of a robot with its own URDF, which specifies their maximum forces."""
     motors = {
         name: drive_data(Drive(force / _SERVO_ERROR, _SERVO_TIME * force / _SERVO_ERROR, robot.positions[name], force))
         for name, force in robot.efforts.items()
@@ -103,7 +106,7 @@ def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
 
 
 def placement(tree: Tree) -> dict[str, object]:
-    """Return the pose of a part of an object, its fixed flag, its joint positions and the closed ends of its joints."""
+    """Return the pose of a part of an object, its fixed flag, its joint positions and its joints' closed limits."""
     closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
     joints = {j.name: rounded(j.position) for j in tree.joints if j.has_axis}
     placed = {"fixed": tree.fixed, **pose_data(tree.X_WT), "joints": joints}
@@ -111,18 +114,18 @@ def placement(tree: Tree) -> dict[str, object]:
 
 
 def robot_placement(robot: RobotUrdf) -> dict[str, object]:
-    """Return the pose of a robot's base and its joint positions, in the form of a fixed object."""
+    """Return a robot's base pose and joint positions in the same form as for a fixed object."""
     joints = {name: rounded(position) for name, position in robot.positions.items()}
     return {"urdf": robot.path, "category": "robot", "fixed": True, **pose_data(robot.X_WB), "joints": joints}
 
 
 def poses_entry(tree: Tree) -> dict[str, object]:
-    """Return the entry of a part of an object in ``poses.json``."""
+    """Return the ``poses.json`` entry of a part of an object."""
     return {"urdf": f"{tree.name}.urdf"} | semantics(tree.owner) | placement(tree) | _free_part(tree)
 
 
 def _free_part(tree: Tree) -> dict[str, object]:
-    """Return the object of a freely moving part, and its free joint with parent link, zero pose and motion."""
+    """Return the object to which a freely moving part belongs, and the part's free joint."""
     joint = tree.free_joint
     if joint is None:
         return {}

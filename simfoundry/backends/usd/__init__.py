@@ -1,4 +1,4 @@
-"""USD backend: UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics; here, the layout of the stage and its files."""
+"""USD backend, which uses UsdPhysics, UsdPreviewSurface, UsdLux and UsdSemantics; this module lays out the stage."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ def compile_usd(scene: Scene) -> Artifact:
 
     The default prim ``/World`` contains ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
-    ``Contacts``. The stage's own prims start with a capital letter and the names of a scene do not, so they never
-    collide. The source document is stored in metadata, see :mod:`~simfoundry.backends.usd.source`. Raises
-    :class:`~simfoundry.backends.names.InvalidSceneError` for names that are invalid or not unique.
+    ``Contacts``. The names of these prims start with a capital letter, so they never collide with names in a scene,
+    which are lower-case. The source document is stored in metadata; see :mod:`~simfoundry.backends.usd.source`.
+
+    Raises:
+        InvalidSceneError: If a name is invalid or not unique.
     """
     check_names(scene)
     world = Prim("World", "Xform", "/World", kind="assembly")
@@ -64,7 +66,7 @@ def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
 
 
 def _define_physics(world: Prim, scene: Scene) -> None:
-    """Define the physics scene; without gravity, its direction must still be a valid direction."""
+    """Define the physics scene, whose gravity direction must be valid even if there is no gravity."""
     prim = world.define("Physics", "PhysicsScene")
     magnitude = float(np.linalg.norm(scene.gravity))
     direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
@@ -73,7 +75,7 @@ def _define_physics(world: Prim, scene: Scene) -> None:
 
 
 def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
-    """Return the mesh layer, the splat layer and the textures of the visuals by path, sorted."""
+    """Return the mesh layer, the splat layer and the visual textures, sorted by path."""
     contents: dict[str, bytes] = {}
     links = [link for each in objects for item in (each, *each.variants) for link in item.links]
     visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())

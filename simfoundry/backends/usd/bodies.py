@@ -1,4 +1,4 @@
-"""Objects and links: rigid bodies with explicit mass properties, visuals and colliders."""
+"""Conversion of objects to USD: rigid bodies with explicit mass properties, visuals, colliders and joints."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Scopes:
-    """The scopes of a stage for objects and shared materials."""
+    """The prims of a stage that contain objects and shared materials."""
 
     objects: Prim
     looks: Prim
@@ -30,17 +30,17 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Return true if no part of the tree can move; it then has colliders but no rigid bodies."""
+    """Return true if no link in the tree can move, in which case it has colliders but no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
 def define_object(scopes: Scopes, item: SceneObject) -> None:
-    """Define ``item`` at its pose in the world, its links side by side below it at their joint positions.
+    """Define ``item`` at its pose in the world, with its links as siblings below it at their joint positions.
 
-    The articulation root of a free object is its root link. For a fixed object, PhysX requires it on a prim above both
-    the link and the joint that fixes it; otherwise PhysX uses joints in maximal coordinates. If the object has
-    variants, each variant in the variant set ``variant`` contains the complete object. Labels use the taxonomy
-    ``class``, which Isaac Sim reads.
+    The articulation root of a free object is its root link. For a fixed object, PhysX requires the articulation root on
+    a prim above both the root link and the joint that fixes it; otherwise PhysX simulates the joints in maximal
+    coordinates. If the object has variants, each variant in the variant set ``variant`` contains the complete object.
+    Labels use the taxonomy ``class``, which Isaac Sim reads.
     """
     prim = scopes.objects.define(item.name, "Xform")
     prim.kind = "component"
@@ -78,9 +78,10 @@ def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
 
 
 def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
-    """State the free joint of a body as attributes, because UsdPhysics has no prim for free joints.
+    """Author the free joint of a body as attributes, because UsdPhysics has no prim type for free joints.
 
-    ``simfoundry:freePose`` is the pose at zero in the parent, as a USD matrix, which multiplies row vectors.
+    ``simfoundry:freePose`` is the body's pose in its parent at the zero position, as a USD matrix, which multiplies row
+    vectors.
     """
     matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
     body.attribute("simfoundry:freeJoint", "token", joint.name, uniform=True)
@@ -89,9 +90,10 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
 
 
 def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
-    """Join the bodies of a tree. The articulation sets whether links may collide; filtered pairs set which.
+    """Define the joints and the articulation of a tree.
 
-    If a fixed object has another articulation beside the fixed one, the joint that fixes the latter is its root.
+    The articulation specifies if its links can collide with each other; filtered pairs exclude individual pairs. If a
+    fixed object also has a freely moving part, the articulation root of the fixed part is the joint that fixes it.
     """
     root = links[tree.root.name]
     if tree.fixed:
@@ -109,7 +111,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """Exclude pairs of links from contact. A static link has no body, so its colliders are named instead."""
+    """Exclude pairs of links from contact; a static link is represented by its colliders, as it has no rigid body."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     found: dict[Prim, list[Prim]] = {}
@@ -140,13 +142,13 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
 
 def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
-    """Return the prim below which the links of an object are defined: its own or that of its variant."""
+    """Return the prim that contains the links of an object, which is the object's own prim or that of its variant."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim
 
 
 def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
-    """Return the bodies of an object, and the collision prims of each link, by qualified name."""
+    """Return an object's rigid bodies, and the collision prims of each link, by qualified name."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     for tree in trees(item):
@@ -161,8 +163,8 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = link.principal
-    # Static links also get these attributes, without the schema, which requires a body; readers may ignore them, but no
-    # data is lost.
+    # Static links also get these attributes, so that no data is lost, but not the schema, which requires a rigid body.
+    # Readers may ignore such attributes.
     body.attribute("physics:centerOfMass", "point3f", vec3(link.com.tolist()))
     body.attribute("physics:diagonalInertia", "float3", vec3(moments.tolist()))
     body.attribute("physics:mass", "float", rounded(link.mass))
@@ -195,17 +197,17 @@ _TYPE = {
 }
 
 _MIMIC = "rotX"
-"""The instance of PhysX's mimic schema; single-axis joints use this one for any axis."""
+"""The instance name of PhysX's mimic joint schema, which single-axis joints use for any axis."""
 _LIMIT = (0.02, 1.0)
 _FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""Stiffness of MuJoCo's limits and Coulomb friction, as in our MJCF. Without it, Newton's MuJoCo solver lets a load of
-10 N hang 20 mm below its stop, and a joint held by friction creep at 10 mm/s."""
+"""MuJoCo's constraint parameters for joint limits and Coulomb friction, as in our MJCF. With the defaults of Newton's
+MuJoCo solver, a load of 10 N rests 20 mm below its stop, and a joint held by friction creeps at 10 mm/s."""
 
 
 def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
-    """Weld a fixed object's root link to the world at the object's prim, so that it moves together with the prim.
+    """Weld a fixed object's root link to the world relative to the object's prim, so that moving the prim moves both.
 
-    Its name starts with a capital letter, unlike the joints of a scene.
+    The joint's name starts with a capital letter, unlike joint names in a scene.
     """
     prim = scope.define("Anchor", "PhysicsFixedJoint")
     _frames(prim, carrier, root, Pose.of(), Pose.of())
@@ -213,10 +215,10 @@ def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
 
 
 def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
-    """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader`` if one is given.
+    """Define ``joint`` between the links ``parent`` and ``child``, following ``leader`` if one is given.
 
-    UsdPhysics measures angles in degrees and rotates about a coordinate axis of the joint frames. Both frames are
-    rotated so that the coordinate axis closest to the scene's axis coincides with it.
+    In UsdPhysics, angles are in degrees and joints rotate about a coordinate axis of the joint frames. Both frames are
+    therefore rotated so that the coordinate axis closest to the scene's joint axis coincides with it.
     """
     prim = scope.define(joint.name, _TYPE[joint.type])
     if not joint.has_axis:
@@ -242,7 +244,7 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
 
 
 def _ball(prim: Prim, joint: Joint) -> None:
-    """Add damping, friction and armature of a ball joint about each axis, for Newton; PhysX gets only the armature."""
+    """Add a ball joint's damping, friction and armature about each axis for Newton, and its armature for PhysX."""
     prim.schemas += ["PhysxJointAPI", "NewtonJointAPI"]
     prim.attribute("newton:armature", "float", rounded(joint.armature))
     prim.attribute("newton:damping", "float", rounded(joint.damping / math.degrees(1.0)))
@@ -251,9 +253,10 @@ def _ball(prim: Prim, joint: Joint) -> None:
 
 
 def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
-    """Make a joint follow another: Newton's equation as in the scene, PhysX's with all terms on one side.
+    """Make a joint follow another joint in Newton and PhysX.
 
-    PhysX softens the constraint by a natural frequency; zero means a rigid gear.
+    Newton uses the same equation as the scene, whereas PhysX has all terms on one side. PhysX softens the constraint
+    with a natural frequency, which is zero for a rigid gear.
     """
     leader = f"{scope.path}/{mimic.joint}"
     multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
@@ -270,11 +273,11 @@ def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: 
 
 
 def joint_frame(axis: Array) -> tuple[str, Pose]:
-    """Return the coordinate axis (``X``, ``Y``, ``Z``) closest to ``axis``, and the rotation from it to ``axis``."""
+    """Return the coordinate axis (``X``, ``Y`` or ``Z``) closest to ``axis``, and the rotation from it to ``axis``."""
     k = int(np.argmax(np.abs(axis)))
     unit = np.eye(3)[k]
     cosine = float(unit @ axis)
-    if cosine < 0:  # rotate half a turn about the next axis first; the rest is then below a quarter turn
+    if cosine < 0:  # first rotate by 180 degrees about the next axis, which leaves less than 90 degrees
         half = np.concatenate([[0.0], np.eye(3)[(k + 1) % 3]])
         flipped = Pose.of(q=half)
         _, rest = joint_frame(flipped.inverse().apply(axis))
@@ -291,11 +294,12 @@ def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> Non
 
 
 def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
-    """Add damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
+    """Add a joint's damping, drive, Coulomb friction, armature and position.
 
-    UsdPhysics supports only the first two, as one drive whose gains are per degree. ``simfoundry:damping`` is the part
-    of that damping which belongs to the joint itself. The other values are attributes of PhysX and Newton, in which
-    torques [N m] and armatures [kg m^2] do not depend on the unit of the angle.
+    UsdPhysics supports only the first two, as a single drive whose gains are per degree. ``simfoundry:damping`` is the
+    part of the drive's damping that belongs to the joint itself. The other values are PhysX and Newton attributes, in
+    which torques [N m] and armatures [kg m^2] do not depend on the angle unit. ``unit`` is 1 for a position in meters,
+    and the number of degrees per radian for an angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
     drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)

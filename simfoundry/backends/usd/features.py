@@ -1,4 +1,4 @@
-"""The losses of a scene in a stage; ``features.yaml`` has the fidelity of each feature."""
+"""Losses of a scene in a USD stage; ``features.yaml`` lists the fidelity of each feature."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
 HULL_VERTICES = 64
-"""PhysX's limit of the vertices of a convex hull (its documentation of ``PxConvexMeshDesc``)."""
+"""PhysX's limit on the number of vertices of a convex hull, from its documentation of ``PxConvexMeshDesc``."""
 
 FEATURES = read_cells(Path(__file__).parent)
 
 
 def usd_losses(scene: Scene) -> tuple[Loss, ...]:
-    """Return the losses of ``scene`` as a stage, in the order of the scene."""
+    """Return the losses of ``scene`` in a stage, in scene order."""
     every = [item for each in scene.objects for item in (each, *each.variants)]
     return (*_contacts(every), *dict.fromkeys(loss for item in every for loss in _object(item)), *_lights(scene))
 
 
 def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
-    """Yield the losses of friction and restitution, exact only for readers that know PhysX's combine modes."""
+    """Yield the losses of friction and restitution, which are exact only with PhysX's combine modes."""
     colliders = [c for item in objects for link in item.links for c in link.colliders]
     for name in ("friction", "restitution"):
         values = [float(getattr(collider, name)) for collider in colliders]
         worst = max(values, key=lambda v: abs(math.sqrt(v) - v), default=0.0)
         if math.sqrt(worst) != worst:
             reason = (
-                f"It is written as the square root under PhysX's combine mode `multiply`, which makes the geometric "
-                f"mean; a reader of plain UsdPhysics that averages gets up to {math.sqrt(worst):.3g} for "
-                f"{worst:.3g}. `load(own_{name}=True)` in load.py gives it the surface's own value."
+                f"Its square root is written with PhysX's combine mode `multiply`, which yields the geometric mean. "
+                f"A plain UsdPhysics reader that averages gets up to {math.sqrt(worst):.3g} instead of {worst:.3g}; "
+                f"for such readers, `load(own_{name}=True)` in load.py sets the surface's own value."
             )
             yield approximate(name, "", reason, abs(math.sqrt(worst) - worst))
     for name in ("torsional_friction", "rolling_friction"):
@@ -48,7 +48,7 @@ def _object(item: SceneObject) -> Iterator[Loss]:
         for joint in tree.joints:
             element = f"{item.name}.{joint.name}"
             if is_static(tree):
-                yield drop("fixed_joint", element, "The object cannot move, so its links are one static body.")
+                yield drop("fixed_joint", element, "The object cannot move, so its links become one static body.")
             else:
                 yield from _joint(element, joint, {j.name: j for j in tree.joints})
     for link in item.links:
@@ -65,20 +65,20 @@ def _joint(element: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator
             if getattr(joint, field):
                 yield drop(f"joint_{field}", element, f"PhysX's ball joints have no {field}; Newton reads it.")
     if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
-        reason = "USD has one damping per joint; the joint's share of it counts toward the drive's force limit."
+        reason = "USD has one damping per joint, so the joint's own damping counts toward the drive's force limit."
         yield approximate("joint_damping", element, reason)
     if joint.mimic is not None:
         leader = by_name.get(joint.mimic.joint)
         slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]
         if slides[0] != slides[1]:
-            reason = "In PhysX and Newton a joint can only follow a joint of the same kind, prismatic or revolute."
+            reason = "In PhysX and Newton, a prismatic or revolute joint can only follow a joint of the same type."
             yield drop("mimic", element, reason)
 
 
 def _hull(element: str, collider: Collider) -> Iterator[Loss]:
     if isinstance(collider.geometry, Mesh) and len(collider.geometry.vertices) > HULL_VERTICES:
         count = len(collider.geometry.vertices)
-        reason = f"PhysX keeps {HULL_VERTICES} of the hull's {count} vertices."
+        reason = f"PhysX keeps only {HULL_VERTICES} of the hull's {count} vertices."
         yield approximate("convex_mesh", element, reason, count - HULL_VERTICES, "vertices")
 
 

@@ -1,7 +1,7 @@
-"""Prims of a stage, and their text.
+"""USD prims as plain Python objects, and their text format.
 
-Prims are plain Python objects; :func:`usda` formats them like USD's own writer. Authoring through USD's own layers
-takes five times as long. Vectors, quaternions (w first) and matrix rows are tuples; arrays are lists.
+:func:`usda` formats prims like USD's own writer; authoring through USD layers would take five times as long. Vectors,
+quaternions (w first) and matrix rows are tuples; arrays are lists.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from simfoundry.geometry.frames import IDENTITY, Pose
 
 
 class Attribute(NamedTuple):
-    """A value of a prim and its USD type name; the value is None if there is none or if ``source`` provides it."""
+    """A prim attribute with its USD type name; the value is None if it is not authored or if ``source`` provides it."""
 
     type_name: str
     value: Any
@@ -26,19 +26,19 @@ class Attribute(NamedTuple):
 
 
 class Asset(NamedTuple):
-    """A file path as the value of an attribute."""
+    """A file path used as an attribute value."""
 
     path: str
 
 
 class Targets(NamedTuple):
-    """The targets of a relationship: paths on the stage."""
+    """The targets of a relationship, as paths on the stage."""
 
     paths: tuple[str, ...]
 
     @property
     def value(self) -> Targets:
-        """Return the targets themselves, for code that reads attributes and relationships alike."""
+        """Return the targets themselves, for code that treats attributes and relationships the same way."""
         return self
 
 
@@ -65,17 +65,17 @@ class Prim:
     selected: str = ""
 
     def variant(self, name: str) -> Prim:
-        """Add the variant ``name``; its contents exist on the stage if the variant is selected."""
+        """Add the variant ``name``, whose contents exist on the stage only if it is selected."""
         self.variants[name] = Prim(self.name, self.type_name, self.path)
         return self.variants[name]
 
     def define(self, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
-        """Define a child prim of the given type and apply API schemas to it, which need not be registered."""
+        """Define a child prim of the given type and apply API schemas, which do not need to be registered."""
         self.children[name] = Prim(name, type_name, f"{self.path}/{name}", specifier, schemas=list(schemas))
         return self.children[name]
 
     def attribute(self, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
-        """Author an attribute; names in ``simfoundry:`` are custom because no schema defines them."""
+        """Author an attribute; names that start with ``simfoundry:`` are custom because no schema defines them."""
         self.properties[name] = Attribute(type_name, value, uniform)
 
     def connect(self, name: str, type_name: str, source: str) -> None:
@@ -87,7 +87,7 @@ class Prim:
         self.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
 
     def place(self, pose: Pose, scale: Sequence[float] | None = None) -> None:
-        """Set the pose in the parent, in double precision; ``scale`` applies first."""
+        """Set the pose relative to the parent, in double precision; ``scale`` is applied first."""
         p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
         operations: dict[str, tuple[str, tuple[float, ...]]] = {}
         if any(p):
@@ -103,12 +103,12 @@ class Prim:
 
 
 def settled(value: float) -> float:
-    """Round a coordinate [m] or quaternion component to twelve decimals, so that rounding noise becomes zero."""
+    """Round a coordinate [m] or quaternion component to twelve decimals, which turns rounding noise into zero."""
     return round(float(value), 12) + 0.0
 
 
 def vec3(values: Iterable[float]) -> tuple[float, ...]:
-    """Return three values for single precision; values out of its range are infinite, as readers will see them."""
+    """Return three values for single precision; out-of-range values become infinite, as they will be for readers."""
     return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 
@@ -125,7 +125,7 @@ _STEP = "    "
 
 
 def usda(root: Prim, custom_data: Mapping[str, Any]) -> bytes:
-    """Return a layer in meters and kilograms with z up, with ``root`` as its default prim."""
+    """Return the text of a layer in meters and kilograms with z up, whose default prim is ``root``."""
     head = [
         *(_dictionary("customLayerData", custom_data, _STEP) if custom_data else ()),
         f"{_STEP}defaultPrim = {quoted(root.name)}",
@@ -211,7 +211,7 @@ def _property(name: str, found: Attribute | Targets) -> str:
 
 
 def _row(values: tuple[Any, ...]) -> str:
-    """Format a vector of numbers, or a matrix of such rows."""
+    """Format a vector of numbers, or a matrix given as a tuple of rows."""
     items = map(number, values) if isinstance(values[0], float) else [_TEXT[type(v)](v) for v in values]
     return f"({', '.join(items)})"
 
@@ -220,16 +220,16 @@ def _list(items: Iterable[str]) -> str:
     return f"[{', '.join(items)}]"
 
 
-@lru_cache(maxsize=16384)  # the same strings occur many times
+@lru_cache(maxsize=16384)  # the same strings occur repeatedly
 def quoted(text: str) -> str:
-    """Quote a string with the quotes that need the fewest escapes; triple quotes if it has several lines."""
+    """Quote a string with the quotes that require the fewest escapes, or triple quotes if it has several lines."""
     quote = "'" if '"' in text and "'" not in text else '"'
     fence = quote * 3 if "\n" in text else quote
     return f"{fence}{text.translate(_ESCAPES[quote])}{fence}"
 
 
 def _escapes(quote: str) -> list[str]:
-    """Return the escaped form of each ASCII character within the given quotes."""
+    """Return the escaped form of each ASCII character inside the given quotes."""
     plain = {chr(k): chr(k) for k in range(128)}
     control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
     return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())

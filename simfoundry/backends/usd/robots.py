@@ -1,4 +1,4 @@
-"""Robots on a stage: their own USD by reference, or a conversion from MJCF or URDF; also mounted cameras."""
+"""Robots on a stage, either referenced from their own USD or converted from MJCF or URDF, and mounted cameras."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from pxr import Sdf, Usd
 
 _UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
-"""Rotation from a stage with y up to one with z up."""
+"""Rotation from a y-up stage to a z-up stage."""
 
 _LAYER = re.compile(r"layer @([^@]+)@")
 
 
 @dataclass
 class RobotsInUsd:
-    """Results for robots: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
+    """The robots of a stage: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
@@ -39,7 +39,7 @@ class RobotsInUsd:
 
 
 def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
-    """Define every robot below ``/World/Robots``, which is omitted if there are none."""
+    """Define all robots below ``/World/Robots``, which is omitted if the scene has no robots."""
     found = RobotsInUsd()
     if not scene.robots:
         return found
@@ -52,7 +52,7 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = "It has the friction of its file, which readers combine with the scene's by their own rules."
+        reason = "It uses the friction in its file, which readers combine with the scene's by their own rules."
         found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
@@ -69,18 +69,18 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
         frame = source.frame(name) if name else LinkFrame(next(iter(made.links)))
         if frame.link not in made.links:
             there = ", ".join(made.links)
-            raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; there are: {there}")
+            raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; available links: {there}")
         found.frames[robot.name, name] = prim.children[made.links[frame.link]], frame.X_LF
 
 
 def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    """Reference the robot's own USD, copied with all files in its folder, and set the scene's joint positions."""
+    """Reference a copy of the robot's own USD and all files in its folder, and set the scene's joint positions."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(native.file))
     default = stage.GetDefaultPrim()
     if not default:
-        raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to refer to")
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to reference")
     found.losses.extend(_missing(robot, stage))
     folder = f"robots/{native.file.stem}_{native.digest[:8]}"
     top = native.file.parent
@@ -113,12 +113,12 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
         count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
-        reason = f"Its file refers to {count} not exist, as {absent[0].rpartition('/')[2]}."
+        reason = f"Its file refers to {count} not exist, such as {absent[0].rpartition('/')[2]}."
         yield drop("robots", robot.name, reason)
 
 
 def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
-    """Return the spec in our layer for a prim of the referenced stage."""
+    """Return the spec in our layer that overrides a prim of the referenced stage."""
     spec = model
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":
@@ -141,7 +141,7 @@ def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
 
 
 def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
-    """Weld the first body to the world, unless the robot's own file already does."""
+    """Weld the first body to the world, unless the robot's own file already does so."""
     from pxr import Usd, UsdPhysics
 
     bodies = [p for p in Usd.PrimRange(default) if p.HasAPI(UsdPhysics.RigidBodyAPI)]
@@ -163,7 +163,7 @@ def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
 
 
 def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
-    """Define each mounted camera below its link; yield a loss for each camera whose link is missing."""
+    """Define each mounted camera below its link, and yield a loss for each camera whose link is missing."""
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
@@ -172,12 +172,12 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
         for prim, X_LF in found:
             define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
         for variant in _without(scene, mounted):
-            reason = f"The variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
+            reason = f"Variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
             yield approximate("mounted_cameras", mounted.camera.name, reason)
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
-    """Yield the prim of the link that supports a camera, in each variant that has it, and the pose in that link."""
+    """Yield the prim of the link with a mounted camera, in each variant that has it, and the pose in that link."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
         if (mounted.carrier, mounted.link) in robots.frames:
             yield robots.frames[mounted.carrier, mounted.link]
@@ -191,7 +191,7 @@ def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: Mounte
 
 
 def _without(scene: Scene, mounted: MountedCamera) -> Iterator[str]:
-    """Yield the variants of the supporting object that lack the link on which a camera is mounted."""
+    """Yield the variants of an object that lack the link on which a camera is mounted."""
     item = scene.by_name.get(mounted.carrier)
     if item is not None and mounted.link:
         for one in (item, *item.variants):

@@ -1,7 +1,7 @@
-"""Shapes and their materials: primitives as USD primitives, meshes by reference to one layer beside the stage.
+"""Shapes and materials, with primitives as USD primitives, and meshes as references to a layer next to the stage.
 
-Visual materials are UsdPreviewSurface; contact materials have the attributes of UsdPhysics, PhysX and Newton. Arrays
-are in layers of USD's binary format, which takes a third of the size of text and is memory-mapped when read.
+Visual materials use UsdPreviewSurface; contact materials have UsdPhysics, PhysX and Newton attributes. Arrays are
+stored in layers in USD's binary format, which is a third of the size of text and is memory-mapped when read.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def new_crate(default_prim: str) -> Sdf.Layer:
-    """Return an empty layer in meters with z up, to fill and pass to :func:`crate_bytes`."""
+    """Return an empty layer in meters with z up, which the caller fills and passes to :func:`crate_bytes`."""
     from pxr import Sdf
 
     layer = Sdf.Layer.CreateAnonymous(".usdc")
@@ -50,9 +50,9 @@ def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, unif
 
 
 def crate_bytes(layer: Sdf.Layer) -> bytes:
-    """Return the layer as a crate; equal layers give equal bytes in every process and Python version.
+    """Return the layer in the crate format; equal layers give equal bytes in every process and Python version.
 
-    USD can only write crates to files. It writes version 0.8.0, which every release since 2020 reads.
+    USD can only write crates to files. It writes version 0.8.0, which all releases since 2020 can read.
     """
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         path = Path(folder) / "layer.usdc"
@@ -61,13 +61,13 @@ def crate_bytes(layer: Sdf.Layer) -> bytes:
 
 
 MESHES = "assets/meshes.usdc"
-"""The path of the mesh layer; a single layer, because separate files cost more than the meshes themselves."""
+"""The path of the mesh layer, which all meshes share because separate files cost more than the meshes themselves."""
 
 
 def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:
-    """Define ``geometry`` below ``parent``, posed in its link.
+    """Define ``geometry`` below ``parent`` at its pose in the link.
 
-    A box is a scaled unit cube; a mesh is a reference, see :func:`mesh_layer`.
+    A box becomes a scaled unit cube, and a mesh becomes a reference; see :func:`mesh_layer`.
     """
     prim = parent.define(name, "Cube" if isinstance(geometry, Box) else type(geometry).__name__, schemas)
     prim.place(X_LG, scale=geometry.size.tolist() if isinstance(geometry, Box) else None)
@@ -101,10 +101,10 @@ def _mesh_name(mesh: Mesh) -> str:
 
 
 def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
-    """Return a layer of meshes named by content, without duplicates and sorted by name.
+    """Return a layer of meshes that are named by content, free of duplicates, and sorted by name.
 
     Meshes are in single precision and have texture coordinates if the source has them. They are defined as classes, so
-    a stage that opens only this layer shows nothing; the prim that refers to a class makes it visible.
+    opening this layer on its own shows nothing; a mesh is visible only through a prim that references its class.
     """
     from pxr import Sdf
 
@@ -136,7 +136,7 @@ def _define_mesh(prim: Sdf.PrimSpec, mesh: Mesh) -> None:
 
 
 def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return the unit normals of triangles, shape (m, 3); degenerate triangles get an upward normal."""
+    """Return the unit normals of triangles, shape (m, 3), with upward normals for degenerate triangles."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -146,13 +146,13 @@ def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDAr
 
 
 def texture_of(visual: Visual) -> bytes | None:
-    """Return the texture of ``visual`` if its mesh has texture coordinates, otherwise None."""
+    """Return the texture of ``visual`` if its mesh has texture coordinates, or else None."""
     geometry = visual.geometry
     return geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
 
 
 def texture_path(texture: bytes) -> str:
-    """Return the path of a texture in the artifact, named by its content."""
+    """Return the path of a texture in the artifact, with a file name derived from its content."""
     return f"assets/{hashlib.sha256(texture).hexdigest()[:16]}.png"
 
 
@@ -163,7 +163,7 @@ def define_visual(parent: Prim, looks: Prim, visual: Visual) -> None:
 
 
 def visual_material(scope: Prim, visual: Visual) -> Prim:
-    """Return the material of ``visual``; visuals of equal appearance share one, named by its content."""
+    """Return the material of ``visual``, which is named by content and shared by visuals with the same appearance."""
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
     rgba = tuple([rounded(v) for v in visual.rgba.tolist()])
@@ -179,7 +179,7 @@ def _look_name(path: str, rgba: tuple[float, ...]) -> str:
 
 
 def linear_from_srgb(rgb: Array) -> Array:
-    """Return the scene-linear color, which UsdPreviewSurface expects, of an sRGB color as used by MuJoCo and URDF."""
+    """Convert an sRGB color, as used by MuJoCo and URDF, to the scene-linear color that UsdPreviewSurface expects."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
@@ -200,7 +200,7 @@ def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
 
 
 def _texture(material: Prim, color: Array, texture: str) -> Prim:
-    """Define the texture shader, multiplied by ``color``; it reads its coordinates from the primvar ``st``."""
+    """Define the texture shader, which multiplies by ``color`` and reads its coordinates from the primvar ``st``."""
     reader = material.define("Coordinates", "Shader")
     reader.attribute("info:id", "token", "UsdPrimvarReader_float2", uniform=True)
     reader.attribute("inputs:varname", "string", "st")
@@ -218,9 +218,10 @@ def _texture(material: Prim, color: Array, texture: str) -> Prim:
 
 
 def contact_material(scope: Prim, collider: Collider) -> Prim:
-    """Return the contact material of ``collider``: √μ and √e with PhysX's ``multiply``, which gives geometric means.
+    """Return the contact material of ``collider``.
 
-    ``simfoundry:friction`` and ``simfoundry:restitution`` hold the coefficients of the surface itself.
+    It contains √μ and √e with PhysX's combine mode ``multiply``, which yields geometric means. The surface's own
+    coefficients are stored in ``simfoundry:friction`` and ``simfoundry:restitution``.
     """
     friction, restitution = number(collider.friction), number(collider.restitution)
     name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"

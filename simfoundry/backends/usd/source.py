@@ -1,11 +1,11 @@
-"""The source document of a scene, stored in the stage, and a record of the stage as the backend wrote it.
+"""Storage of a scene's source document in the stage, with a record of the stage as written by the backend.
 
-USD composes prim metadata, so it survives flattening, crates, sublayers and references. In ``customData`` under
-``simfoundry``, the default prim stores the document (``document``, without the parts that have their own prims). Each
-part stores its own data (``spec``) and its place in the document (``part``), so that copying or deleting a prim also
-copies or deletes its data. ``built`` records what the backend wrote, so that a reader can detect later edits. In an
-object with variants, each variant has its own ``built`` and its name as ``variant``; the stage shows those of the
-selected variant.
+The data is stored in prim metadata, which USD composes, so it survives flattening, crates, sublayers and references. In
+``customData`` under ``simfoundry``, the default prim stores the document without the parts that have their own prims
+(``document``). Each part stores its own data (``spec``) and its path in the document (``part``), so that copying or
+deleting a prim also copies or deletes its data. ``built`` records the values written by the backend, which allows
+readers to detect later edits. In an object with variants, each variant has its own ``built``, and its name as
+``variant``; the composed stage contains those of the selected variant.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.model import Source
 
 KEY = "simfoundry"
-"""The key of our dictionary in ``customData`` and ``customLayerData``."""
+"""The key of SimFoundry's dictionary in ``customData`` and ``customLayerData``."""
 
 SCOPES = {"objects": "Objects", "robots": "Robots", "cameras": "Cameras", "lights": "Lights"}
-"""Sections of a document whose entries have prims, and the scope of each section below the default prim."""
+"""Document sections whose entries have prims, with the name of each section's scope below the default prim."""
 
 VIEW_ONLY = (
     *("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:"),
     *("physics:approximation", "faceVarying", "subdivision", "doubleSided", "orientation"),
 )
-"""Prefixes of attributes that concern only display or lookup; ``at`` holds the resulting transform."""
+"""Prefixes of attributes that affect only display or lookup. Transforms are stored separately, under ``at``."""
 
 _NUMBER = "%.9g"
 
 
 def write_source(world: Prim, source: Source) -> dict[str, str]:
-    """Store ``source`` in the finished default prim and the prims below it; return the metadata for the layer."""
+    """Store ``source`` in the complete default prim and its descendants, and return the layer metadata."""
     document = dict(source.data)
     materials = _materials(world)
     for section, scope in SCOPES.items():
@@ -57,7 +57,7 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
 
 
 def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[str, dict[str, Any]]) -> None:
-    """Collect the values of a part and the prims below it by relative path; the part itself has the empty path."""
+    """Collect the values of a part and its descendant prims by relative path; the part itself has the empty path."""
     values = _values(prim)
     said = observed(values)
     for binding, name in _BINDINGS.items():
@@ -72,30 +72,30 @@ def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[
 
 
 def _values(prim: Prim) -> dict[str, Any]:
-    """Return the property values of a prim; attributes without a value are omitted."""
+    """Return the property values of a prim, omitting attributes without a value."""
     return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
 _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
-"""Material bindings for appearance and contact, with the names we use for them."""
+"""Material bindings for appearance and contact, with the names under which they are recorded."""
 
 
 def _materials(world: Prim) -> dict[str, Any]:
-    """Return the values of the stage's materials by path."""
+    """Return the values of all materials on the stage, by path."""
     looks, contacts = (world.children[scope].children.values() for scope in ("Looks", "Contacts"))
     shaders = {p.path: {name: _values(shader) for name, shader in p.children.items()} for p in looks}
     return {path: look(found) for path, found in shaders.items()} | {p.path: contact(_values(p)) for p in contacts}
 
 
 def _posture(said: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return only the pose and joint positions among the values of a robot's prims; its model is stored separately."""
+    """Keep only the pose and joint positions of a robot's prims, because its model is stored separately."""
     states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
     base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
     return base | {path: values for path, values in states.items() if values}
 
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the attribute values that are meaningful for the document, as plain data."""
+    """Return the attribute values that are relevant to the document, as plain data."""
     said = {}
     for name in sorted(attributes):
         if not _is_view_only(name) and (value := plain(attributes[name])) is not None:
@@ -109,7 +109,7 @@ def _is_view_only(name: str) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Return a USD value as plain data: numbers with nine digits, vectors and quaternions (w first) as lists.
+    """Convert a USD value to plain data, with nine-digit numbers, and lists for vectors and quaternions (w first).
 
     Returns None for all other types, including arrays.
     """
@@ -127,14 +127,14 @@ def plain(value: Any) -> Any:
         return None
     if kind.startswith("Quat"):
         return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
-    if kind.startswith("Vec"):  # by index, because pxr ends an iteration with a translated exception, which is slow
+    if kind.startswith("Vec"):  # indexing is faster, because pxr ends iterations with a translated exception
         values = [value[k] for k in range(len(value))]
         return [v if type(v) is int else float(_NUMBER % v) for v in values]
     return None
 
 
 def _transform(values: Mapping[str, Any]) -> list[float]:
-    """Return position, quaternion and scale of a prim in its parent."""
+    """Return a prim's position, quaternion and scale relative to its parent."""
     position, turn, scale = (values.get(f"xformOp:{name}") for name in ("translate", "orient", "scale"))
     return [
         *([0.0, 0.0, 0.0] if position is None else plain(position)),
@@ -144,9 +144,10 @@ def _transform(values: Mapping[str, Any]) -> list[float]:
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
-    """Return scene-linear red, green, blue and opacity of a material of this backend; they multiply any texture.
+    """Return the scene-linear red, green, blue and opacity of a material; they multiply the texture, if there is one.
 
-    ``material`` has the shader attributes by shader name. Returns None if the material no longer has our structure.
+    ``material`` contains the shader attributes by shader name. Returns None if the material no longer has the structure
+    that this backend writes.
     """
     surface, texture = material.get("Surface", {}), material.get("Texture", {})
     color = texture.get("inputs:scale") if texture else surface.get("inputs:diffuseColor")
@@ -155,14 +156,14 @@ def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
 
 
 def contact(material: Mapping[str, Any]) -> list[float] | None:
-    """Return friction and restitution of a contact material, each as written for PhysX and of the surface itself."""
+    """Return a contact material's friction and restitution, each as the value for PhysX and the surface's own value."""
     names = ("physics:dynamicFriction", f"{KEY}:friction", "physics:restitution", f"{KEY}:restitution")
     values = [plain(material.get(name)) for name in names]
     return None if None in values else values
 
 
 def _lines(data: Mapping[str, Any]) -> str:
-    """Format JSON with one line per top-level key, for people who inspect the metadata."""
+    """Format JSON with one line per top-level key, which makes the metadata readable."""
     entries = [f"{json_string(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 

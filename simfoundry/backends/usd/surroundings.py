@@ -1,4 +1,4 @@
-"""Surroundings of the objects: cameras, lights, and a background of meshes or of Gaussians in a separate layer."""
+"""Cameras, lights and the background of a scene; Gaussian splats are stored in a separate layer."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Background, Camera, Light, LightType, Splat
 
 SPLAT = "assets/background.usdc"
-"""The path of the splat's layer in the artifact."""
+"""The path of the splat layer in the artifact."""
 
 _REACH = 3.0
-"""Number of standard deviations of a Gaussian that count as its extent."""
+"""Extent of a Gaussian in standard deviations."""
 
 
 def define_background(world: Prim, looks: Prim, background: Background) -> None:
@@ -31,7 +31,7 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
 
 
 def splat_layer(splat: Splat) -> bytes:
-    """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics by order."""
+    """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics sorted by order."""
     from pxr import Sdf, Vt
 
     layer = new_crate("splat")
@@ -51,11 +51,11 @@ def splat_layer(splat: Splat) -> bytes:
     return crate_bytes(layer)
 
 
-# Focal length and apertures share a unit, and only their ratios matter. At 1/32 per pixel the values resemble a real
-# lens (640 px become 20 mm), and a power of two preserves all digits of the width.
+# Focal length and apertures have the same unit, and only their ratios matter. At 1/32 per pixel, the values resemble a
+# real lens (640 px correspond to 20 mm), and a power of two preserves all digits of the width.
 PIXEL = 1.0 / 32.0
 
-# A scene counts pixels from the center of the first one, as OpenCV does; an aperture starts at the edge of that pixel.
+# Like OpenCV, a scene measures pixel coordinates from the center of the first pixel; an aperture starts at its edge.
 HALF_PIXEL = 0.5
 
 #: From OpenCV's camera axes (x right, y down, z forward) to USD's (x right, y up, looking along -z).
@@ -63,10 +63,10 @@ X_CU = Pose.of(q=(0.0, 1.0, 0.0, 0.0))
 
 
 def define_camera(scope: Prim, camera: Camera) -> None:
-    """Define ``camera`` with exact intrinsics; the image size in pixels is stored as a custom attribute.
+    """Define ``camera`` with exact intrinsics, and with the image size in pixels as a custom attribute.
 
-    USD has a single focal length, so unequal ``fx`` and ``fy`` become non-square pixels with a stretched vertical
-    aperture.
+    USD has a single focal length, so unequal ``fx`` and ``fy`` are represented by non-square pixels with a stretched
+    vertical aperture.
     """
     prim = scope.define(camera.name, "Camera")
     right = camera.width / 2 - (camera.cx + HALF_PIXEL)
@@ -83,14 +83,14 @@ def define_camera(scope: Prim, camera: Camera) -> None:
     prim.place(camera.X_WC @ X_CU)
 
 
-# A white diffuse surface has radiance 1 at irradiance pi. A normalized distant light states its irradiance; a
-# normalized sphere gives intensity / (4 d^2) at distance d, here 1 m; a dome states its radiance.
+# A white diffuse surface has radiance 1 at irradiance pi. A normalized distant light's intensity is its irradiance. A
+# normalized sphere light yields intensity / (4 d^2) at distance d, here 1 m. A dome light's intensity is its radiance.
 FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
 _POINT_RADIUS = 0.02
 
 
 def define_light(scope: Prim, light: Light) -> None:
-    """Define ``light``; intensity 1 makes a white surface facing it appear white (for a point light, at 1 m)."""
+    """Define ``light`` such that intensity 1 makes a white surface facing it look white, at 1 m for a point light."""
     match light.type:
         case LightType.DISTANT:
             prim = scope.define(light.name, "DistantLight")

@@ -1,1 +1,1 @@
-"""Segmentation of a depth picture into the support and the objects on it, with the support graph."""
+"""Segment a depth image into the support surface and the objects on it, and build the support graph."""

@@ -1,4 +1,4 @@
-"""Segmentation of one tabletop picture into objects, by geometry alone."""
+"""Segment a single tabletop image into objects, based mainly on geometry."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
 from simfoundry.geometry.frames import Array
 
-LOWEST = 0.006  # [m] height above the support below which depth noise hides an object
-TALLEST = 0.6  # [m] height above the support; tabletop objects are lower
-MARGIN = 0.03  # [m] that an object may stick out over the seen outline
-EDGE_ZONE = 0.015  # [m] along the outline, in which walls and objects behind the support appear
-LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
-BORDER_BAND = 0.025  # of the picture's shorter side
-LOW = 0.02  # [m] the highest that an error of the sensor rises
-WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
-FLOATING = 1e-3  # [m²] largest floating region that is stray depth; larger ones are objects that lean or hang
-FRAGMENT = 1.2e-3  # [m²] visible area below which an occluded region shows too little of an object
-GLIMPSE = 0.3  # of an object's height; if less is visible above its occluder, the object stays unknown
-SMALLEST = 4e-4  # [m²] of visible area
-MIN_PIXELS = 60  # pixels of an object: 8 x 8, the least that a tangent plane and its edges take
+LOWEST = 0.006  # [m] minimum height above the support; depth noise hides lower objects
+TALLEST = 0.6  # [m] maximum height above the support; tabletop objects are lower
+MARGIN = 0.03  # [m] maximum overhang of an object past the visible outline
+EDGE_ZONE = 0.015  # [m] width of the zone along the outline where walls and objects behind the support appear
+LONG_BORDER = 0.25  # fraction of the image's shorter side; a region that covers more of the border is background
+BORDER_BAND = 0.025  # width of the image border, as a fraction of the image's shorter side
+LOW = 0.02  # [m] maximum height of a bump caused by sensor error
+WORKING_REACH = 6.0  # [px] distance over which edges are evaluated; images with finer detail are downsampled to it
+FLOATING = 1e-3  # [m²] maximum area of floating stray depth; larger floating regions are leaning or hanging objects
+FRAGMENT = 1.2e-3  # [m²] minimum visible area of an occluded region; smaller ones show too little of an object
+GLIMPSE = 0.3  # minimum fraction of an object's height that must be visible above its occluder
+SMALLEST = 4e-4  # [m²] minimum visible area of an object
+MIN_PIXELS = 60  # minimum number of pixels of an object: 8 x 8 is enough for a tangent plane and its edges
 
 
 def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
-    """Segment the objects on ``support``, numbered from 1, with the support of each.
+    """Segment the objects on ``support``, number them from 1, and determine the support of each.
 
-    Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
-    support is cut at depth steps and inward creases; outward bends stay within one object. Parts that an object in
-    front cuts off are joined again if they lie in one plane, and unsupported parts are joined to the parts they
-    touch. Raises :class:`CaptureError` if the depth is unusable or there is no object.
+    If ``frame.instances`` is set, its masks are cleaned and used. Otherwise, the surface above the support is cut at
+    depth steps and inward creases; outward bends do not separate objects. Parts separated by an occluder are joined
+    again if they are coplanar, and unsupported parts are joined to the parts that they touch. Raises
+    :class:`CaptureError` if the depth is unusable or no object is found.
     """
     frame = frame.cleaned()
     points_W = support.X_WC.apply(frame.points)
@@ -53,13 +53,13 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
         labels = _found(frame, points_W, support)
     if not labels.any():
         message = f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support"
-        hint = "check that the objects are in view with valid depth; glass and dark gloss often have none"
+        hint = "check that the objects are in view and have valid depth; glass and dark glossy surfaces often have none"
         raise CaptureError("SF504", message, hint)
     return Segmentation(labels, carriers(parts_of(labels, points_W, pixel_area(frame))))
 
 
 def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:
-    """Return the capture's own masks without specks and without objects that are not on the support."""
+    """Return the masks from the capture, without specks and without objects that are not on the support."""
     on_it, height = _near(points_W, support), points_W[..., 2]
     out = np.zeros(instances.shape, np.int32)
     for k in np.unique(instances[instances > 0]):
@@ -94,7 +94,7 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
 
 
 def _instances(crop: Crop, support: SupportSurface) -> Labels:
-    """Run the passes in order: cut; merge smooth, occluded, same-colored and hanging regions; drop non-objects."""
+    """Cut the surface into regions, merge smooth, occluded, same-colored and hanging regions, and drop non-objects."""
     regions = cut(crop)
     regions = merge_smooth(regions, crop, edge=0.5)
     regions = merge_smooth(regions, crop)
@@ -109,7 +109,7 @@ def _instances(crop: Crop, support: SupportSurface) -> Labels:
 
 
 def _crop(frame: Frame, points_W: Array, support: SupportSurface) -> Crop | None:
-    """Crop to the objects on the support; None if there are none."""
+    """Crop the image to the objects on the support; return None if there are no objects."""
     high = _standing(frame.depth, points_W, support)
     if high.sum() < MIN_PIXELS:
         return None
@@ -138,7 +138,7 @@ def _crop(frame: Frame, points_W: Array, support: SupportSurface) -> Crop | None
 
 
 def _averaged(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """Average the color around every ``step``-th pixel."""
+    """Downsample a color image by ``step``, averaging the color around each pixel."""
     import cv2
 
     blurred = cv2.blur(color, (2 * (step // 2) + 1,) * 2)
@@ -146,24 +146,27 @@ def _averaged(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
 
 
 def _near(points_W: Array, support: SupportSurface) -> Mask:
-    """Pixels on the support or not far above it."""
+    """Return a mask of the pixels on the support or at most :data:`TALLEST` above it."""
     height = points_W[..., 2]
     return _within(support, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
 
 
 def _standing(depth: Array, points_W: Array, support: SupportSurface) -> Mask:
-    """Pixels clearly above the support."""
+    """Return a mask of the pixels clearly above the support."""
     return _near(points_W, support) & (points_W[..., 2] > np.maximum(LOWEST, depth_sigma(depth)))
 
 
 def _padded(mask: Mask, pad: int = 16) -> slice:
-    """Slice from the first to the last row with a marked pixel, and ``pad`` [px] beyond."""
+    """Return the slice from the first to the last row with a marked pixel, extended by ``pad`` [px] on both sides."""
     rows = np.nonzero(mask)[0]
     return slice(max(0, int(rows.min()) - pad), min(len(mask), int(rows.max()) + pad + 1))
 
 
 def _within(support: SupportSurface, xy: Array, margin: float) -> Mask:
-    """Mask of world points, shape (..., 2) [m], on the support or up to ``margin`` [m] beside it; False for NaN."""
+    """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the support outline grown by ``margin`` [m].
+
+    A negative margin shrinks the outline. NaN points are False.
+    """
     import cv2
 
     cell, outline = 0.005, support.outline
@@ -176,7 +179,7 @@ def _within(support: SupportSurface, xy: Array, margin: float) -> Mask:
 
 
 def _without_specks(labels: Labels, crop: Crop) -> Labels:
-    """Give regions too small to be an object to the region that they touch, or to nothing."""
+    """Merge regions too small to be objects into the region that they touch, or remove them."""
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     areas = np.bincount(labels[labels > 0], crop.pixel_area[labels > 0], minlength=count)
@@ -191,7 +194,7 @@ def _without_specks(labels: Labels, crop: Crop) -> Labels:
 
 
 def _without_foreign_regions(labels: Labels, crop: Crop, support: SupportSurface) -> Labels:
-    """Drop regions that do not stand on the support: a wall at its end, a chair behind it, a lamp above it."""
+    """Drop regions that are not on the support, such as a wall at its end, a chair behind it, or a lamp above it."""
     parts = parts_of(labels, crop.points_W, crop.pixel_area)
     on, hidden, sunk = carriers(parts), below(labels, crop), sinking(labels, crop)
     graph = borders(labels, crop).values()
@@ -222,7 +225,7 @@ def _without_foreign_regions(labels: Labels, crop: Crop, support: SupportSurface
 
 
 def _on_border(mask: Mask, crop: Crop) -> float:
-    """Length of the picture's border that the region covers, as a share of the picture's shorter side."""
+    """Return the length of the image border that a region covers, as a fraction of the image's shorter side."""
     band = round(BORDER_BAND * min(crop.whole))  # sensors often leave the outermost pixels empty
     length = 0
     for side, size, window in zip((mask, mask.T), crop.whole, crop.window, strict=True):
@@ -232,7 +235,7 @@ def _on_border(mask: Mask, crop: Crop) -> float:
 
 
 def _is_warp(mask: Mask, top: float, crop: Crop) -> bool:
-    """Test whether a low region fades into the support without an edge: a sensor error, not an object."""
+    """Return True if a low region fades into the support without an edge, which indicates a sensor error."""
     if top > LOW:
         return False
     edge = crop.edge[grown(mask) & ~mask & np.isfinite(crop.depth)]

@@ -1,4 +1,4 @@
-"""Search for the supporting surface of the objects: candidate planes by RANSAC, and the visible outline of each."""
+"""Find the surface that supports the objects: candidate planes by RANSAC, and the visible outline of each plane."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from simfoundry.capture.segment.masks import Mask, Plan, closed, components, dis
 from simfoundry.capture.segment.regions import normals_of, tangents
 from simfoundry.geometry.frames import Array, Pose
 
-TALLEST = 0.35  # [m] height up to which an object counts as standing on a plane; tables are higher above the floor
-DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance
-CROSSING = 0.6  # cosine of the angle between a surface and a plane from which on it crosses rather than joins it
-SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
-MIN_POINTS = 50  # pixels of a plane worth considering
-MAX_PLANES = 8  # candidates: table, floor, walls, shelves and box tops of a room
-HYPOTHESES = 1500  # RANSAC draws: a plane of 10 % of the points is hit by local triples with 0.999
-MAX_POINTS = 6000  # points that a hypothesis is tested on
-SAMPLE, FINALISTS = 1200, 60  # points on which all hypotheses compete, and how many go on to all points
-TOLERANCE = 3.0  # in standard deviations of the depth
-STEEPEST_ROLL = 0.47  # tangent of the camera roll beyond which a plane is a wall beside it
-ROLL_SLACK = 0.15  # what a normal may lean sideways however steeply the camera looks down
-SMALLEST_SHARE = 0.01  # of all points
-MAX_CELLS = 700  # cells along the longer side of a plan: 5 mm on a table of 3.5 m
-COARSE, FINE = 0.01, 0.005  # [m] cells of a plan when planes are compared, and for the result
-OUTLINE_TOLERANCE = 0.01  # [m] of the simplified outline
-SHADOW = 0.25  # [m] the widest strip behind an object across which two seen parts are one surface
+TALLEST = 0.35  # [m] maximum height of points that count as objects on a plane; tables are higher above the floor
+DENSE = 0.5  # minimum fraction of inliers in the neighborhood of an inlier; lower values occur by chance
+CROSSING = 0.6  # minimum cosine between surface and plane normals; below this, the surface crosses the plane
+SURVEY_WIDTH = 240  # [px] width of the image used for comparing candidates
+MIN_POINTS = 50  # minimum number of pixels in a plane
+MAX_PLANES = 8  # maximum number of candidates: a room has a table, floor, walls, shelves and box tops
+HYPOTHESES = 1500  # RANSAC draws: local triples hit a plane with 10 % of the points with a probability of 0.999
+MAX_POINTS = 6000  # maximum number of points used for testing hypotheses
+SAMPLE, FINALISTS = 1200, 60  # points used to test all hypotheses; hypotheses then tested on all points
+TOLERANCE = 3.0  # inlier tolerance in standard deviations of the depth
+STEEPEST_ROLL = 0.47  # tangent of the maximum camera roll; a plane tilted more than this is a wall beside the camera
+ROLL_SLACK = 0.15  # sideways component of the normal that is always allowed, however steeply the camera looks down
+SMALLEST_SHARE = 0.01  # minimum fraction of all points in a plane
+MAX_CELLS = 700  # maximum number of cells along the longer side of a plan: 5 mm cells on a table of 3.5 m
+COARSE, FINE = 0.01, 0.005  # [m] cell size of a plan when comparing planes, and in the result
+OUTLINE_TOLERANCE = 0.01  # [m] tolerance of the simplified outline
+SHADOW = 0.25  # [m] maximum width of the hidden strip behind an object that is bridged to connect two visible parts
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Points with ``normal @ p = offset`` in the camera frame [m]; the normal points to the camera's side."""
+    """The plane ``normal @ p = offset`` in the camera frame [m]; the normal points toward the camera."""
 
     normal: Array
     offset: float
 
     def height(self, points: Array) -> Array:
-        """Signed distance [m] of camera-frame points, shape (..., 3), positive on the camera's side."""
+        """Return the signed distance [m] of camera-frame points, shape (..., 3); positive toward the camera."""
         return np.asarray(points @ self.normal - self.offset)
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A depth picture with its points and normals in the camera frame; normals are NaN where depth is sparse."""
+    """A depth image with points and normals in the camera frame; normals are NaN if the depth nearby is sparse."""
 
     depth: Array
     K: Array
@@ -54,7 +54,7 @@ class _View:
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """The visible surface of a plane: its pixels, its plan in the world ``X_WC``, and its score as the support."""
+    """The visible surface of a plane: its pixels, its plan in the world frame of ``X_WC``, and its support score."""
 
     plane: Plane
     X_WC: Pose
@@ -64,15 +64,16 @@ class _Surface:
 
 
 def find_support(frame: Frame) -> SupportSurface:
-    """Find the support of the objects in ``frame``, and the world frame on it.
+    """Find the surface that supports the objects in ``frame``, and define the world frame on it.
 
-    The origin is the centroid of the visible surface, z is the plane's normal toward the camera, x is the camera's
-    viewing direction along the plane (its up direction if it looks straight down), y is to the left.
+    The origin is the centroid of the visible surface, and z is the plane's normal toward the camera. x is the camera's
+    viewing direction projected onto the plane (the image's up direction if the camera looks straight down), and y
+    points to the left.
 
-    Of all planes that could be a table top, the support is the one with the most objects and surface in view, weighted
-    by nearness. A box with another on it loses against the table below, because the table carries both; the floor
-    loses because it is far, and the objects on a table stand higher above it than objects are tall.
-    Raises :class:`CaptureError` if the depth is unusable or no plane is found.
+    Among all planes that could be a tabletop, the support is the one with the most objects and visible surface,
+    weighted by proximity. A box with another box on top scores lower than the table below, because the table supports
+    both. The floor scores lower because it is farther away and the objects on a table are too high above the floor to
+    count as standing on it. Raises :class:`CaptureError` if the depth is unusable or no plane is found.
     """
     frame = frame.cleaned()
     small = _view(frame, step=max(1, frame.depth.shape[1] // SURVEY_WIDTH))
@@ -85,17 +86,17 @@ def find_support(frame: Frame) -> SupportSurface:
             return support
     raise CaptureError(
         "SF503",
-        "no flat surface is seen from above that objects could stand on",
-        "show at least a hand's breadth of the table top around the objects, with the camera upright above it",
+        "could not find a flat surface, seen from above, that objects could stand on",
+        "show at least 10 cm of the tabletop around the objects, and hold the camera upright above it",
     )
 
 
 def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
-    """The planes, largest first, that ``points`` (camera frame [m], shape (n, 3)) hold and that could be a table top.
+    """Return the planes through ``points`` (camera frame [m], shape (n, 3)) that could be a tabletop, largest first.
 
-    A plane qualifies if the camera is above it, with the camera's up direction not pointing below it, and if it is
-    not seen edge-on sideways, as a wall beside the camera is. Walls straight ahead and tables straight below look
-    alike to one camera; both are kept here.
+    A plane qualifies if the camera is above it, the camera's up direction does not point below it, and it is not seen
+    edge-on from the side, like a wall beside the camera. A single camera cannot distinguish a wall straight ahead from
+    a table straight below, so both are kept.
     """
     rest = points[rng.choice(len(points), min(len(points), MAX_POINTS), replace=False)]
     fewest = max(30, int(SMALLEST_SHARE * len(rest)))
@@ -115,7 +116,10 @@ def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
 
 
 def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
-    """The qualifying hypothesis with most inliers, nearer points counting more, as they cover less surface a pixel."""
+    """Return the qualifying hypothesis with the most inliers, weighted by proximity; None if there is no such plane.
+
+    Nearer points have more weight because each of their pixels covers less surface.
+    """
     normals, offsets = _hypotheses(points, rng)
     if not len(normals):
         return None
@@ -126,7 +130,7 @@ def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
 
 
 def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
-    """The weight of the points that lie in each plane, shape (m,)."""
+    """Return the total weight of the points in each plane, shape (m,)."""
     tolerance = TOLERANCE * depth_sigma(points[:, 2])
     weight = 1.0 / points[:, 2]
     return np.concatenate(
@@ -138,7 +142,11 @@ def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
 
 
 def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Unit normals, shape (m, 3), and offsets, shape (m,), of qualifying planes through triples of nearby points."""
+    """Sample triples of nearby points, and return the qualifying planes through them.
+
+    Returns:
+        Unit normals, shape (m, 3), and offsets [m], shape (m,).
+    """
     from scipy.spatial import cKDTree
 
     pixels = points[:, :2] / points[:, 2:]
@@ -153,7 +161,7 @@ def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     ok = length > 1e-6
     normals, a = normals[ok] / length[ok, None], a[ok]
     offsets = np.einsum("ij,ij->i", normals, a)
-    away = offsets > 0  # the camera, at zero, must lie on the positive side
+    away = offsets > 0  # the camera, located at the origin, must be on the positive side
     normals[away], offsets[away] = -normals[away], -offsets[away]
     up = -normals[:, 1]
     plausible = (np.abs(normals[:, 0]) < ROLL_SLACK + STEEPEST_ROLL * np.maximum(up, 0)) & (up > -0.1)
@@ -161,11 +169,11 @@ def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def refine(plane: Plane, points: Array, rounds: int = 6) -> Plane:
-    """Weighted least squares through the inliers among ``points`` [m], shape (n, 3), repeated as the inliers change."""
+    """Refit ``plane`` to its inliers among ``points`` [m], shape (n, 3), by iteratively reweighted least squares."""
     for _ in range(rounds):
         sigma = depth_sigma(points[:, 2])
         residual = np.abs(plane.height(points)) / sigma
-        # Tukey's weight: points of objects that begin at the surface fade out rather than pull it up.
+        # Tukey's biweight: points near the bottom of objects are gradually downweighted so as not to pull the plane up.
         weight = np.where(residual < TOLERANCE, (1 - (residual / TOLERANCE) ** 2) ** 2, 0.0) / sigma**2
         if np.count_nonzero(weight) < 10:
             return plane
@@ -179,7 +187,11 @@ def refine(plane: Plane, points: Array, rounds: int = 6) -> Plane:
 
 
 def world_on(plane: Plane) -> Pose:
-    """``X_WC`` of a camera above ``plane``: the origin right below the camera, x along its viewing direction."""
+    """Return the camera pose ``X_WC`` in a world frame on ``plane``.
+
+    The origin is straight below the camera, and x points along its viewing direction, or along the image's up direction
+    if the camera looks straight down.
+    """
     z = plane.normal
     x = np.array([0.0, 0.0, 1.0]) - z[2] * z
     if np.linalg.norm(x) < 0.2:
@@ -192,7 +204,7 @@ def world_on(plane: Plane) -> Pose:
 
 
 def _view(frame: Frame, step: int = 1) -> _View:
-    """Subsample a depth picture by ``step``."""
+    """Subsample a depth image by ``step``, and compute its points and normals."""
     import cv2
 
     K = np.array(frame.K, dtype=np.float64)
@@ -205,13 +217,13 @@ def _view(frame: Frame, step: int = 1) -> _View:
 
 
 def _on_plane(view: _View, plane: Plane) -> Mask:
-    """Pixels within the noise of the plane, except where a surface crosses it, as a chair's back does."""
+    """Return a mask of the pixels on the plane, excluding surfaces that cross it, such as the back of a chair."""
     near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
     return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
 
 
 def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
-    """Find the visible surface of ``plane`` and score it as the support."""
+    """Find the visible surface of ``plane`` and compute its score as the support; return None if it has no surface."""
     X_WC = world_on(plane)
     points_W = X_WC.apply(view.points)
     inliers = _on_plane(view, plane)
@@ -229,19 +241,25 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
 
 
 def _score(carried: int, depths: Array, plane: Plane) -> float:
-    """Score of a plane as the support, from the ``carried`` pixels above it and its own pixels' ``depths`` [m].
+    """Return the score of a plane as the support.
 
-    The objects on it count first, then its own area if there are any: a floor that fills the picture but has
-    nothing on it is no support. Near pixels count more, because the subject of a picture is near.
+    Objects on the plane count most; its own area counts only in proportion to them, because a floor that fills the
+    image but has nothing on it is not a support. Near pixels have more weight because the subject of an image is
+    usually close to the camera.
+
+    Args:
+        carried: Number of pixels on objects above the plane.
+        depths: Depths of the plane's own pixels [m].
+        plane: The plane in the camera frame.
     """
     area = len(depths)
-    # A level camera could see a plane of weight 1 as a floor, neither straight ahead nor straight below.
+    # The plane has full weight if an upright camera could see it as a floor rather than as a wall straight ahead.
     amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area
     return amount / float(np.median(depths)) ** 2 * (1.0 if plane.normal[1] < -0.3 else 0.3)
 
 
 def _density(inliers: Mask, depth: Array) -> float:
-    """The mean share of inliers among the valid pixels within 2 px of an inlier."""
+    """Return the mean fraction of inliers among the valid pixels within 2 px of an inlier."""
     import cv2
 
     of_plane = cv2.blur(inliers.astype(np.float32), (5, 5))[inliers]
@@ -250,7 +268,7 @@ def _density(inliers: Mask, depth: Array) -> float:
 
 
 def _measured(view: _View, found: _Surface) -> SupportSurface | None:
-    """Refine a plane on the pixels of its own connected surface, and take the outline, at full resolution."""
+    """Refine a plane at full resolution using only the pixels of its connected surface, and extract the outline."""
     plane = found.plane
     on_surface = found.plan.contains(found.X_WC.apply(view.points)[..., :2])
     for _ in range(2):
@@ -269,11 +287,19 @@ def _measured(view: _View, found: _Surface) -> SupportSurface | None:
 
 
 def _plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array, finest: float) -> Plan | None:
-    """The largest connected surface of ``inliers``, with what objects hide of it closed; None if there is none.
+    """Return a plan of the largest connected surface in ``inliers``, with areas hidden by objects filled in.
 
-    ``inliers`` marks the plane's pixels and ``hidden`` those whose ray does not reach the plane (an object is in
-    front, or there is no reading); every other ray passes the plane, so there is no surface there. ``points_W`` are
-    the picture's points in the world [m], shape (h, w, 3).
+    Args:
+        inliers: Mask of the plane's pixels.
+        hidden: Mask of the pixels whose rays do not reach the plane, because an object is in front or there is no
+            reading. All other rays pass through the plane, so there is no surface at those pixels.
+        X_WC: Camera pose in the world frame on the plane.
+        K: Intrinsic matrix [px].
+        points_W: Points of the image in the world [m], shape (h, w, 3).
+        finest: Minimum cell size of the plan [m].
+
+    Returns:
+        The plan, or None if there is no connected surface.
     """
     import cv2
 
@@ -289,13 +315,13 @@ def _plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array,
         return max(1, round(length / cell))
 
     def seen_from_above(mask: Mask) -> Mask:
-        # Linear weights, so that a border thinner than a cell does not vanish.
+        # Interpolate linearly, so that a border thinner than a cell does not vanish.
         picture = mask.astype(np.float32)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         return np.asarray(cv2.warpPerspective(picture, to_pixel, (columns, rows), flags=flags) > 0.5)
 
     surface, unseen = seen_from_above(inliers), seen_from_above(hidden)
-    # Specks up to 1 cm where the plane seems missing are noise of the sensor rather than holes in a table.
+    # Gaps up to 1 cm wide in the plane are sensor noise rather than holes in the table.
     specks = closed(surface, cells(0.005))
     surface = closed(surface, cells(0.015)) & (surface | unseen | specks)
     main = _largest(surface | (unseen & closed(surface, cells(SHADOW / 2))), surface)
@@ -309,11 +335,11 @@ def _plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array,
 
 
 def polygon_of(plan: Plan) -> Array:
-    """The plan's boundary in world xy [m], shape (n, 2): counter-clockwise, simple, few vertices."""
+    """Return the boundary of a plan in world xy [m]: a simple counterclockwise polygon, shape (n, 2)."""
     import cv2
     from shapely.geometry import Polygon
 
-    # Doubled and padded, the contour runs along the cells' borders instead of through their centers.
+    # Upsample by two and pad, so that the contour follows the borders of the cells instead of their centers.
     fine = np.pad(np.kron(plan.mask, np.ones((2, 2), bool)), 1).astype(np.uint8)
     contours, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contour = max(contours, key=cv2.contourArea)[:, 0, :].astype(np.float64)
@@ -325,7 +351,7 @@ def polygon_of(plan: Plan) -> Array:
 
 
 def _pixel_of_cell(X_WC: Pose, K: Array, corner: Array, cell: float) -> Array:
-    """Homography, shape (3, 3), from plan cells (column, row, 1) to pixels (u, v, 1)."""
+    """Return the homography, shape (3, 3), from plan cells (column, row, 1) to pixels (u, v, 1)."""
     X_CW = X_WC.inverse()
     plane = np.column_stack([X_CW.rotation[:, 0], X_CW.rotation[:, 1], X_CW.p])
     cells = np.array([[cell, 0, corner[0]], [0, cell, corner[1]], [0, 0, 1]])
@@ -333,7 +359,7 @@ def _pixel_of_cell(X_WC: Pose, K: Array, corner: Array, cell: float) -> Array:
 
 
 def _largest(mask: Mask, measured: Mask) -> Mask | None:
-    """The connected part of ``mask`` that holds most of ``measured``; None if the mask is empty."""
+    """Return the connected component of ``mask`` that contains the most of ``measured``; None if the mask is empty."""
     labels, areas = components(mask)
     sizes = np.bincount(labels[measured], minlength=len(areas))[1:]
     return np.asarray(labels == 1 + int(np.argmax(sizes))) if len(sizes) else None

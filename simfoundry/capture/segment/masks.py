@@ -1,4 +1,4 @@
-"""Operations on masks and outlines that the stages of a segmentation share."""
+"""Operations on masks and outlines, shared by the segmentation stages."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 Mask = NDArray[np.bool_]
 Labels = NDArray[np.int32]
 Kernel = NDArray[np.uint8]
-MAX_CORNERS = 24  # of an outline: as many as a person reads
+MAX_CORNERS = 24  # maximum number of corners in an outline, so that a person can still read it
 SQUARE: Kernel = np.ones((3, 3), np.uint8)
 
 
 def disk(radius: int) -> Kernel:
-    """Return a round kernel of ``radius`` [px]."""
+    """Return a round kernel with the given radius [px]."""
     import cv2
 
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), dtype=np.uint8)
@@ -35,21 +35,21 @@ def grown(mask: Mask, kernel: Kernel = SQUARE, times: int = 1) -> Mask:
 
 
 def shrunk(mask: Mask, kernel: Kernel) -> Mask:
-    """Erode a mask; the outside of the picture does not erode it."""
+    """Erode a mask; pixels at the edge of the image are not eroded from outside."""
     import cv2
 
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
 
 
 def opened(mask: Mask, kernel: Kernel) -> Mask:
-    """Remove what is narrower than the kernel."""
+    """Open a mask: remove parts narrower than the kernel."""
     import cv2
 
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0)
 
 
 def closed(mask: Mask, radius: int) -> Mask:
-    """Fill gaps up to ``radius`` [px] wide to either side, also at the edge of the picture."""
+    """Close a mask: fill gaps up to twice ``radius`` [px] wide, including those at the edge of the image."""
     import cv2
 
     pad = radius + 2
@@ -58,7 +58,11 @@ def closed(mask: Mask, radius: int) -> Mask:
 
 
 def components(mask: Mask, connectivity: int = 4) -> tuple[Labels, NDArray[np.int64]]:
-    """Number the connected parts of a mask from 1; also return the pixels of each number, 0 for the outside."""
+    """Number the connected components of a mask from 1.
+
+    Returns:
+        The labels, which are 0 outside the mask, and the number of pixels in each component; the entry for 0 is 0.
+    """
     import cv2
 
     count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=connectivity)
@@ -68,26 +72,29 @@ def components(mask: Mask, connectivity: int = 4) -> tuple[Labels, NDArray[np.in
 
 
 def filled(mask: Mask) -> Mask:
-    """Fill the holes of a mask."""
+    """Fill the holes in a mask."""
     from scipy.ndimage import binary_fill_holes
 
     return np.asarray(binary_fill_holes(mask))
 
 
 def thinned(points: Array, count: int) -> Array:
-    """Return every n-th point, so that between ``count`` and twice as many remain."""
+    """Return every n-th point, such that between ``count`` and twice as many points remain."""
     return points[:: max(1, len(points) // count)]
 
 
 def hull_mm(points: Array, count: int = 2000) -> NDArray[np.float32]:
-    """Convex hull [mm] of the xy of points [m], shape (n, 2) or (n, 3), of which about ``count`` are used."""
+    """Return the convex hull [mm] of points [m] in the xy plane.
+
+    The points have shape (n, 2) or (n, 3); they are thinned to about ``count`` points first.
+    """
     import cv2
 
     return np.asarray(cv2.convexHull((thinned(points, count)[:, :2] * 1000).astype(np.float32)), dtype=np.float32)
 
 
 def in_hull(hull: NDArray[np.float32], points: Array) -> Mask:
-    """Mark the points [m] whose xy lies in a convex hull [mm]."""
+    """Return a mask of the points [m] whose xy position is inside a convex hull [mm]."""
     import cv2
 
     inside = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in points[:, :2] * 1000]
@@ -95,7 +102,10 @@ def in_hull(hull: NDArray[np.float32], points: Array) -> Mask:
 
 
 def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
-    """Simplify an outline to at most MAX_CORNERS corners, by ``tolerance`` [m] times powers of ``growth``."""
+    """Simplify an outline to at most MAX_CORNERS corners.
+
+    The tolerance starts at ``tolerance`` [m] and is multiplied by ``growth`` until the outline is simple enough.
+    """
     simple = polygon.simplify(tolerance)
     while len(simple.exterior.coords) - 1 > MAX_CORNERS:
         tolerance *= growth
@@ -105,9 +115,10 @@ def simplified(polygon: Polygon, tolerance: float, growth: float) -> Polygon:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A map of the support seen from above: ``mask`` bool, shape (rows, columns), row along world y, column along x.
+    """A map of the support seen from above.
 
-    Cell (r, c) is centered at ``corner + cell * (c, r)`` in world xy [m].
+    ``mask`` is bool, shape (rows, columns), with rows along world y and columns along world x. Cell (r, c) is centered
+    at ``corner + cell * (c, r)`` in world xy [m].
     """
 
     mask: Mask
@@ -115,7 +126,7 @@ class Plan:
     cell: float
 
     def contains(self, xy: Array) -> Mask:
-        """Mark the world points, shape (..., 2) [m], that lie on the mask; False for NaN."""
+        """Return a mask of the world points ``xy`` [m], shape (..., 2), inside the mask; False for NaN points."""
         index = np.round((np.nan_to_num(xy, nan=-1e6) - self.corner) / self.cell)
         rows, columns = self.mask.shape
         inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)

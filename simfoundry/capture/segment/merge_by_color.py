@@ -1,4 +1,4 @@
-"""Color as evidence: merge parts of one object that geometry alone separates, and split two objects at a neck."""
+"""Use color as evidence: merge parts of an object that geometry alone separates, and split two objects at a neck."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ from simfoundry.capture.segment.merge_regions import compact, renamed
 from simfoundry.capture.segment.regions import Border, Crop, borders, flood
 from simfoundry.capture.segment.support_graph import RegionPart, below, carriers, parts_of, shared_footprint
 
-VIVID = 80  # of 255, the saturation from which on a pixel has a hue
-BRIGHT = 50  # of 255, likewise
-COLORED = 0.25  # share of vivid pixels of a region that has a hue
-SAME_HUE = 8.0  # of 180 in a full turn
-VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
-ONE_HUE = 4.0  # of 180 in a full turn
-SEEN_UNDER = 0.8  # share of a lower edge that may be hidden; the rest shows that nothing else supports the part
-NEAR = 0.03  # [m] largest gap between parts of one object
-FLUSH = 0.02  # [m] between a lid and the rim it lies in
-CAP = 0.2  # of the other's visible area
-SLENDER = 0.35  # of the other's visible area: a handle
-HOLLOW = 0.7  # share of its convex hull that a region of two objects fills at most
-SHARE = 0.25  # of the region that each object covers at least
-NECK = 1.2  # width of the neck, over the square root of the smaller object's area
-FOOT = 0.02  # [m] above the support, below which both objects reach
+VIVID = 80  # minimum saturation of a vivid pixel, out of 255
+BRIGHT = 50  # minimum value of a vivid pixel, out of 255
+COLORED = 0.25  # minimum fraction of vivid pixels in a region that has a hue
+SAME_HUE = 8.0  # maximum difference between matching hues; a full turn is 180
+VIVID_THROUGHOUT = 0.6  # minimum fraction of vivid pixels in a region that is colored throughout
+ONE_HUE = 4.0  # maximum difference between equal hues; a full turn is 180
+SEEN_UNDER = 0.8  # maximum hidden fraction of a lower edge; the rest shows that nothing else supports the part
+NEAR = 0.03  # [m] maximum gap between parts of the same object
+FLUSH = 0.02  # [m] maximum height difference between a lid and the rim around it
+CAP = 0.2  # maximum area of a cap, as a fraction of the other part's visible area
+SLENDER = 0.35  # maximum area of a handle, as a fraction of the other part's visible area
+HOLLOW = 0.7  # maximum fraction of its convex hull that a region made of two objects fills
+SHARE = 0.25  # minimum fraction of a region that each of its two objects covers
+NECK = 1.2  # maximum width of a neck, divided by the square root of the smaller object's area
+FOOT = 0.02  # [m] both objects must reach below this height above the support
 
 
 def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
-    """Smoothed hue, of 180 in a full turn, and the pixels that have one: neither gray nor dark; ``color`` is RGB."""
+    """Return the smoothed hue of an RGB image, and a mask of its vivid pixels, which are neither gray nor dark.
+
+    A full turn of the hue is 180.
+    """
     import cv2
 
     smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
@@ -40,22 +43,22 @@ def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
 
 @dataclass(frozen=True)
 class Hue:
-    """Most common hue of a region, of 180 in a full turn, and the share of its pixels that are vivid."""
+    """The most common hue in a region (a full turn is 180), and the fraction of its pixels that are vivid."""
 
     hue: float
     vivid: float
 
     def equals(self, other: Hue) -> bool:
-        """Return whether both are of one color throughout."""
+        """Return True if both regions have the same color throughout."""
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
-        """The angle between both hues, of 180 in a full turn."""
+        """Return the angle between the two hues; a full turn is 180."""
         turn = abs(self.hue - other.hue)
         return min(turn, 180 - turn)
 
     def matches(self, other: Hue) -> bool:
-        """Return whether both are colored, and alike."""
+        """Return True if both regions are colored and have similar hues."""
         return min(self.vivid, other.vivid) > COLORED and self.apart(other) <= SAME_HUE
 
     @classmethod
@@ -68,7 +71,7 @@ class Hue:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Evidence for and against being one object: parts, hues, supports, hidden lower edges, and borders."""
+    """Evidence for and against two parts being the same object: hues, supports, hidden lower edges, and borders."""
 
     hues: dict[int, Hue]
     on: dict[int, int]
@@ -77,7 +80,7 @@ class _Family:
     adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: RegionPart, other: RegionPart) -> bool:
-        """Return whether ``part`` belongs to ``other``: it is a cap that lost readings cut off, or else of its hue."""
+        """Return True if ``part`` belongs to ``other``: a cap separated by missing depth, or a part with its hue."""
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True
@@ -94,7 +97,7 @@ class _Family:
 
 
 def join_kin(labels: Labels, crop: Crop) -> Labels:
-    """Merge lids, handles, heads and feet with the nearest part of their hue."""
+    """Merge lids, handles, heads and feet with the nearest part that has the same hue."""
     hue, vivid = hue_and_vivid(crop.color)
     while True:
         parts = parts_of(labels, crop.points_W, crop.pixel_area)
@@ -107,7 +110,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """Return the smallest part that belongs to another, and that other part."""
+    """Return the labels of the smallest part that belongs to another part, and of that other part."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
@@ -124,7 +127,7 @@ def _adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
 
 
 def _is_lid(part: RegionPart, other: RegionPart) -> bool:
-    """Test whether ``part`` lies within the top of ``other``, flush with it."""
+    """Return True if ``part`` is inside the top of ``other`` and flush with it."""
     return (
         abs(part.top - other.top) < FLUSH
         and part.bottom > other.bottom + FLUSH
@@ -134,12 +137,12 @@ def _is_lid(part: RegionPart, other: RegionPart) -> bool:
 
 
 def _is_handle(part: RegionPart, other: RegionPart) -> bool:
-    """Test whether ``part`` hangs beside ``other``, which is far larger."""
+    """Return True if ``part`` hangs beside a much larger ``other``."""
     return part.area < SLENDER * other.area and other.bottom < part.bottom and part.top < other.top + FLUSH
 
 
 def _is_head(part: RegionPart, other: RegionPart) -> bool:
-    """Test whether only a neck lies right under ``part``."""
+    """Return True if ``other`` narrows to a neck right below ``part``."""
     import cv2
 
     neck = hull_mm(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
@@ -147,7 +150,7 @@ def _is_head(part: RegionPart, other: RegionPart) -> bool:
 
 
 def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Border]) -> bool:
-    """Test whether ``part`` goes on from ``other``, far larger and as high, where the two meet."""
+    """Return True if ``part`` continues the surface of ``other``, which is equally high and much larger."""
     low, high = sorted((part.label, other.label))
     border = graph.get((low, high))
     return (
@@ -159,7 +162,7 @@ def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Bo
 
 
 def _distance(one: RegionPart, other: RegionPart) -> float:
-    """Distance [m] between two parts, ignoring stray points between them."""
+    """Return the distance [m] between two parts, ignoring stray points between them."""
     from scipy.spatial import cKDTree
 
     gaps, _ = cKDTree(thinned(one.points_W, 2000)).query(thinned(other.points_W, 1000))
@@ -167,10 +170,10 @@ def _distance(one: RegionPart, other: RegionPart) -> float:
 
 
 def split_necks(labels: Labels, crop: Crop) -> Labels:
-    """Split regions that are far from convex where a vivid and a dull half, both standing, meet at a neck.
+    """Split clearly non-convex regions at necks between a vivid and a dull half that both stand on the support.
 
-    Color alone is no reason to split an object: a bottle has a cap, a box a print. But a color border at a neck of the
-    outline, with both halves reaching the support, runs between two objects.
+    Color alone is not a reason to split an object, because bottles have caps and boxes have prints. However, a color
+    border at a neck of the outline separates two objects if both halves reach the support.
     """
     _, vivid = hue_and_vivid(crop.color)
     kernel = disk(max(1, crop.reach // 4))
@@ -193,7 +196,10 @@ def _stands(half: Mask, crop: Crop) -> bool:
 
 
 def _neck(one: Mask, other: Mask, reach: int) -> float:
-    """Width [px] at which two masks meet, over the square root of the smaller one's area; infinite if they do not."""
+    """Return the width of the neck between two masks, divided by the square root of the smaller mask's area.
+
+    The result is infinite if the masks do not meet.
+    """
     gap = max(2, reach // 2)
     width = float((grown(one, disk(gap)) & other).sum()) / gap
     return width / float(np.sqrt(min(one.sum(), other.sum()))) if width >= gap else np.inf

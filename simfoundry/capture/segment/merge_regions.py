@@ -1,4 +1,4 @@
-"""Merging of regions into objects: across smooth or outward borders, behind an occluder, over a rim, and if hanging."""
+"""Merge regions into objects: across smooth or convex borders, behind occluders, across rims, and if they hang."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from simfoundry.capture.segment.regions import Border, Crop, borders
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of
 from simfoundry.geometry.frames import Array
 
-EDGE = 0.8  # edge of a border from which it separates two objects
-TOUCHING = 3.0  # jump along a border up to which two regions may touch
-SMALL_PART = 0.2  # of its neighbor's pixels
-SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
-FEW_PAIRS = 60  # a shorter border says nothing
-HANDLE = 0.35  # of its neighbor's area: a handle is far smaller than its mug
-IN_PLANE = 0.006  # [m]
-SAME_TOP = 0.012  # [m]
-SLIVER = 0.1  # of the other's points
-WIDEST = 0.25  # [m] radius of a container
-RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
+EDGE = 0.8  # minimum edge strength of a border that separates two objects
+TOUCHING = 3.0  # maximum jump along a border between regions that may touch
+SMALL_PART = 0.2  # maximum size of a small part, as a fraction of its neighbor's pixels
+SMALL_PART_PATIENCE = 1.5  # factor on the edge strength required to separate a small part
+FEW_PAIRS = 60  # minimum number of pixel pairs along a border; shorter borders are inconclusive
+HANDLE = 0.35  # maximum area of a handle, as a fraction of its neighbor's area: much smaller than its mug
+IN_PLANE = 0.006  # [m] maximum distance of a point in a plane from that plane
+SAME_TOP = 0.012  # [m] maximum difference between the top heights of two faces of the same box
+SLIVER = 0.1  # a region with less than this fraction of the other region's points is a sliver
+WIDEST = 0.25  # [m] maximum radius of a container
+RIM = 0.012  # [m] height of the band below the highest point that is treated as a container's rim
 Plane = tuple[Array, Array]
 
 
 def merge_smooth(labels: Labels, crop: Crop, edge: float = EDGE) -> Labels:
     """Merge neighbors, starting with the least separated, until every remaining border is an edge.
 
-    Next to a region many times its size, a small one must be separated more clearly to be an object: caps,
-    handles and the smeared feet of objects are not.
+    A region much smaller than its neighbor needs a stronger border to count as a separate object; caps, handles and
+    smeared object bases do not qualify.
     """
     graph = borders(labels, crop)
     sizes = dict(enumerate(np.bincount(labels.ravel()).tolist()))
@@ -53,7 +53,7 @@ def _patience(sizes: dict[int, int], border: Border) -> float:
 
 
 def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[tuple[int, int], Border]:
-    """The borders after ``gone`` has become part of ``keep``."""
+    """Return the borders after merging region ``gone`` into region ``keep``."""
     out: dict[tuple[int, int], Border] = {}
     for border in graph.values():
         a, b = (keep if k == gone else k for k in (border.a, border.b))
@@ -73,7 +73,7 @@ def _sum(one: Border, other: Border) -> Border:
 
 
 def join_hanging(labels: Labels, crop: Crop) -> Labels:
-    """Merge floating parts, such as the handle of a mug, with the part they touch most."""
+    """Merge each floating part, such as the handle of a mug, with the part that shares its longest border."""
     parts = parts_of(labels, crop.points_W, crop.pixel_area)
     on, hidden = carriers(parts), below(labels, crop)
     graph = borders(labels, crop).values()
@@ -96,9 +96,9 @@ def join_hanging(labels: Labels, crop: Crop) -> Labels:
 
 
 def join_hidden(labels: Labels, crop: Crop) -> Labels:
-    """Merge regions that are faces of one box behind the same occluder, with the pixels between them."""
+    """Merge regions that are faces of the same box behind an occluder, including the pixels between them."""
     behind: dict[int, set[int]] = {}
-    # Evenly thinned, so that the numbers of points stay in proportion to the sizes of the regions.
+    # Thin uniformly, so that the number of points stays proportional to the size of each region.
     points = {k: crop.points_W[labels == k][::4] for k in range(1, int(labels.max()) + 1)}
     for front, back in _occlusions(labels, crop):
         behind.setdefault(front, set()).add(back)
@@ -113,7 +113,7 @@ def join_hidden(labels: Labels, crop: Crop) -> Labels:
 
 
 def join_containers(labels: Labels, crop: Crop) -> Labels:
-    """Merge the outside of a bowl or mug with the inside visible behind its near rim."""
+    """Merge the outside of a bowl or mug with the inside that is visible behind its near rim."""
     points = {k: thinned(crop.points_W[labels == k], 1500) for k in range(1, int(labels.max()) + 1)}
     parent: dict[int, int] = {}
     for front, back in _occlusions(labels, crop):
@@ -124,11 +124,11 @@ def join_containers(labels: Labels, crop: Crop) -> Labels:
 
 
 def _one_box(a: Array, b: Array) -> bool:
-    """Return whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
+    """Return True if two point sets [m] (z up, shape (n, 3)) show the same upright face, or the top of one long box."""
     small, large = sorted((a, b), key=len)
     if len(small) < 20:
         return False
-    if len(small) < SLIVER * len(large):  # a sliver shows no top of its own
+    if len(small) < SLIVER * len(large):  # a sliver has no top face of its own
         face = _main_plane(large, level=False)
         if face is not None and _share(large, face) > 0.3 and _share(small, face) > 0.6:
             return True
@@ -146,7 +146,10 @@ def _one_box(a: Array, b: Array) -> bool:
 
 
 def _one_rim(front: Array, back: Array) -> bool:
-    """Return whether the highest points of two sets [m] close a circle, ``front`` nearer and ``back`` inside it."""
+    """Return True if the highest points of two sets [m] form a circular rim.
+
+    ``front`` is the near part of the rim, and ``back`` is inside it.
+    """
     top_front, top_back = np.quantile(front[:, 2], 0.98), np.quantile(back[:, 2], 0.98)
     if abs(top_front - top_back) > 1.5 * RIM:
         return False
@@ -157,7 +160,7 @@ def _one_rim(front: Array, back: Array) -> bool:
     system = np.column_stack([2 * xy, np.ones(len(xy))])
     solution = np.linalg.lstsq(system, (xy**2).sum(axis=1), rcond=None)[0]
     center, radius = solution[:2], float(np.sqrt(max(1e-9, solution[2] + solution[:2] @ solution[:2])))
-    # A lid or a box top would fill the disk; a rim, front and back, keeps to the circle.
+    # A lid or a box top would fill the disk, while the points of a rim are close to the circle.
     round_enough = all(
         np.quantile(np.abs(np.linalg.norm(rim - center, axis=1) - radius), 0.8) < 0.003 + 0.07 * radius for rim in rims
     )
@@ -169,7 +172,7 @@ def _one_rim(front: Array, back: Array) -> bool:
 
 
 def _occlusions(labels: Labels, crop: Crop) -> list[tuple[int, int]]:
-    """Pairs (front, back) of regions that meet at a depth step."""
+    """Return the pairs (front, back) of regions that meet at a depth step."""
     return [
         (border.b, border.a) if border.jump > 0 else (border.a, border.b)
         for border in borders(labels, crop).values()
@@ -178,14 +181,14 @@ def _occlusions(labels: Labels, crop: Crop) -> list[tuple[int, int]]:
 
 
 def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Labels:
-    """Move the pixels of ``front`` that lie within the footprint and height of ``a`` and ``b`` together to ``a``."""
+    """Move the pixels of ``front`` inside the combined footprint and height of ``a`` and ``b`` to region ``a``."""
     joined = thinned(points_W[(labels == a) | (labels == b)], 1500)
     rows, columns = np.nonzero(labels == front)
     own = points_W[rows, columns]
     top, bottom = np.quantile(joined[:, 2], [0.98, 0.02])
     inside = (own[:, 2] < top + 0.01) & (own[:, 2] > bottom - 0.01)
     inside[inside] = in_hull(hull_mm(joined), own[inside])
-    if inside.mean() > 0.5:  # then the hull says nothing: the front one stands within it
+    if inside.mean() > 0.5:  # the hull is inconclusive because the front region is inside it
         return labels
     out = labels.copy()
     out[rows[inside], columns[inside]] = a
@@ -193,7 +196,10 @@ def _between(labels: Labels, points_W: Array, front: int, a: int, b: int) -> Lab
 
 
 def _main_plane(points: Array, level: bool) -> Plane | None:
-    """Center and normal of the plane through most of ``points``, among the level or among the upright ones."""
+    """Return the center and normal of the plane that contains the most ``points``.
+
+    Only roughly horizontal planes are considered if ``level`` is True, otherwise only roughly vertical ones.
+    """
     rng = np.random.default_rng(0)
     triples = points[rng.integers(len(points), size=(400, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
@@ -218,7 +224,7 @@ def _share(points: Array, plane: Plane) -> float:
 
 
 def _short_side(points: Array) -> float:
-    """The shorter side [m] of the smallest rectangle round the xy of ``points``."""
+    """Return the shorter side [m] of the smallest rectangle around ``points`` in the xy plane."""
     import cv2
 
     inner = points[:, :2].astype(np.float32) * 1000
@@ -226,12 +232,12 @@ def _short_side(points: Array) -> float:
 
 
 def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
-    """``labels`` after every region in ``parent`` has become its parent, and so on up, numbered 1..n without gaps."""
+    """Merge every region in ``parent`` into its parent, recursively, and renumber the labels 1..n without gaps."""
     return compact(np.array([root(parent, region) for region in range(int(labels.max()) + 1)])[labels])
 
 
 def compact(labels: NDArray[np.integer[Any]]) -> Labels:
-    """Number the non-zero labels 1..n in ascending order."""
+    """Renumber the non-zero labels 1..n, preserving their order."""
     present = np.unique(labels[labels > 0])
     table = np.zeros(int(labels.max()) + 1, np.int32)
     table[present] = np.arange(1, len(present) + 1)
@@ -239,7 +245,7 @@ def compact(labels: NDArray[np.integer[Any]]) -> Labels:
 
 
 def root(parent: dict[int, int], k: int) -> int:
-    """Follow the joins of ``k`` to the region that remains."""
+    """Return the region into which ``k`` was ultimately merged."""
     while k in parent:
         k = parent[k]
     return k

@@ -1,7 +1,7 @@
-"""Cut what stands above the support into smooth regions, bounded by steps and inward creases; list their borders.
+"""Cut the surfaces above the support into smooth regions bounded by steps and inward creases, and find their borders.
 
-All fits are made in disparity 1/z, in which a plane of the world is exactly affine in pixel coordinates. So a tangent
-plane is three numbers a pixel: the disparity and its derivatives along u and v.
+All fits are made in disparity (1/z), because the disparity of a plane is exactly affine in pixel coordinates. A tangent
+plane is therefore represented by three numbers per pixel: the disparity and its derivatives along u and v.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from simfoundry.capture.frame import Frame, depth_sigma
 from simfoundry.capture.segment.masks import Labels, Mask, components, disk
 from simfoundry.geometry.frames import Array
 
-CUT = 0.012  # [m] a neighbor farther off in depth than this (and the noise) belongs to another surface
-SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
-FLAT = 0.5  # edge strength, in units of `Crop.edge`, below which a pixel may seed a region
-BROKEN = 5.0  # step, likewise, across which nothing hangs together
-CLEAREST = 10.0  # bend or jump of one pair, likewise: more does not outvote a long border
+CUT = 0.012  # [m] a neighbor whose depth differs by more than this (and the noise) is on a different surface
+SCALE = 0.009  # [m] distance on the object over which surfaces are smoothed and edges are evaluated
+FLAT = 0.5  # edge strength (in units of `Crop.edge`) below which a pixel may seed a region
+BROKEN = 5.0  # step (in units of `Crop.step`) above which two pixels are not connected
+CLEAREST = 10.0  # limit on the bend or jump of a pair, in units of the noise: one pair must not outweigh a long border
 Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """Part of the picture around the objects on the support; its pictures have the shape (h, w, ...) of ``window``.
+    """The part of the image around the objects on the support.
 
-    ``mask`` marks what stands above the support; ``edge`` and ``step`` are the strengths of all edges and of depth
-    steps, judged over ``reach`` [px], over what the noise explains: 1 is a likely edge. ``down`` is the picture
-    direction (u, v) in which a point at the optical axis falls; ``whole`` the shape of the picture.
+    All arrays have the shape (h, w, ...) of ``window``. ``mask`` marks the pixels above the support. ``edge`` and
+    ``step`` are the strengths of all edges and of depth steps, evaluated over ``reach`` [px] and relative to the noise:
+    a value of 1 is a likely edge. ``down`` is the direction (u, v) in the image in which a point on the optical axis
+    would fall. ``whole`` is the shape of the full image.
     """
 
     window: Window
@@ -47,21 +48,25 @@ class Crop:
 
 
 def pixel_area(frame: Frame) -> Array:
-    """Area [m²] that each pixel covers on a surface that faces the camera."""
+    """Return the area [m²] that each pixel covers on a surface facing the camera."""
     return np.asarray(frame.depth**2 / (frame.K[0, 0] * frame.K[1, 1]))
 
 
 def reach_of(depth: Array, K: Array) -> float:
-    """Convert the scale of edges to pixels at the median depth."""
+    """Return the edge scale :data:`SCALE`, converted to pixels at the median depth."""
     return SCALE * float(K[0, 0] + K[1, 1]) / 2 / float(np.nanmedian(depth))
 
 
 def edges_of(depth: Array, K: Array, reach: int) -> tuple[Array, Array, Array]:
-    """Smooth a depth picture [m], NaN where there is none: points (camera frame [m]), and edges and steps as in Crop.
+    """Smooth a depth image [m], and compute its edges.
 
-    Each edge is the distance of two surfaces from each other's tangent planes, ``reach`` to either side, the largest of
-    four directions. Inward: each lies in front of the other's tangent plane, as at the foot of a box on a table. Step:
-    one lies in front and one behind, as where one box hides another.
+    The edge strength is the distance of two surfaces from each other's tangent planes, measured ``reach`` pixels to
+    either side; the maximum over four directions is used. At an inward crease, such as the base of a box on a table,
+    each surface is in front of the other's tangent plane. At a step, such as one box in front of another, one surface
+    is in front and the other behind.
+
+    Returns:
+        The points in the camera frame [m], the edges and the steps, both as in :class:`Crop`.
     """
     fits = tangents(depth, reach, stride=1 + (reach - 1) // 5)
     inward, step = np.zeros(depth.shape), np.zeros(depth.shape)
@@ -76,14 +81,14 @@ def edges_of(depth: Array, K: Array, reach: int) -> tuple[Array, Array, Array]:
 
 
 def cut(crop: Crop) -> Labels:
-    """Regions 1..n of the crop's mask, 0 outside: a watershed of the edge strength from its flat parts."""
+    """Cut the crop's mask into regions 1..n by a watershed of the edge strength, seeded in flat areas; 0 is outside."""
     import cv2
 
     mask = crop.mask
     seeds = np.zeros(mask.shape, np.int32)
     flat = (mask & (crop.edge < FLAT)).astype(np.uint8)
     islands, _ = components(mask & (crop.step < BROKEN))
-    # A narrow strip along a silhouette makes no region of its own, unless its island would be left with none.
+    # A narrow strip along a silhouette does not become a separate region, unless its island would have no other region.
     for radius in (max(2, crop.reach // 2), 1, 0):
         inner = cv2.erode(flat, disk(radius), borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
         parts, areas = components(inner & ~np.isin(islands, np.unique(islands[seeds > 0])))
@@ -94,10 +99,14 @@ def cut(crop: Crop) -> Labels:
 
 
 def flood(seeds: Labels, mask: Mask, height: Array) -> Labels:
-    """Grow the regions of ``seeds`` over ``mask``, low ``height`` first, until they meet; parts without seed stay 0."""
+    """Grow the regions in ``seeds`` over ``mask`` until they meet, in order of increasing ``height``.
+
+    Connected parts of the mask without a seed remain 0.
+    """
     import cv2
 
-    # float32 holds every label exactly, and OpenCV dilates it; where two regions arrive together the later one wins.
+    # float32 represents every label exactly and is supported by OpenCV's dilation. If two regions reach a pixel at the
+    # same time, the one with the higher label wins.
     labels = np.where(mask, seeds, 0).astype(np.float32)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     levels = np.append(np.linspace(0.1, 3.0, 30), np.inf)
@@ -114,10 +123,12 @@ def flood(seeds: Labels, mask: Mask, height: Array) -> Labels:
 
 @dataclass(frozen=True)
 class Border:
-    """Border of two regions ``a < b``: pixel ``pairs`` seen across it, and means over these in units of the noise.
+    """The border between two regions ``a < b``.
 
-    ``bend``: positive for an inward crease, negative for an outward one. ``jump``: positive where ``b`` is in front.
-    ``meets`` is the share of the closer pairs across which the surface goes on within the noise.
+    ``pairs`` is the number of pixel pairs across the border. ``bend`` and ``jump`` are means over these pairs in units
+    of the noise: ``bend`` is positive for an inward crease and negative for an outward one; ``jump`` is positive if
+    ``b`` is in front. ``meets`` is the fraction of the closer pairs across which the surface is continuous within the
+    noise.
     """
 
     a: int
@@ -129,14 +140,15 @@ class Border:
 
     @property
     def edge(self) -> float:
-        """Separation of the two: 1 is a likely border of two objects, negative a convex edge of one."""
+        """Edge strength: 1 is a likely border between two objects; negative values are convex edges of one object."""
         return max(self.bend, 0.8 * abs(self.jump))
 
 
 def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
-    """All borders of regions, keyed (a, b) with a < b, in ascending order.
+    """Return all borders between regions in ascending order, keyed by (a, b) with a < b.
 
-    The tangent planes are fitted within each region alone, and signed, so that noise cancels along a border.
+    The tangent planes are fitted separately within each region, and the values are signed, so that noise cancels out
+    along a border.
     """
     rows, columns = np.nonzero((labels > 0).any(axis=1))[0], np.nonzero((labels > 0).any(axis=0))[0]
     if not len(rows):
@@ -169,10 +181,12 @@ def borders(labels: Labels, crop: Crop) -> dict[tuple[int, int], Border]:
 
 
 def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None = None) -> Array:
-    """Affine fits of disparity round every pixel: (d, d_u, d_v) in 1/m and 1/m per pixel, shape (h, w, 3).
+    """Return affine fits of the disparity around every pixel.
 
-    NaN where there is no depth. Neighbors across a depth step, or of another label, are left out, so that the fits
-    do not bend round edges.
+    Neighbors across a depth step or with a different label are excluded, so that the fits do not bend around edges.
+
+    Returns:
+        The fits (d, d_u, d_v) in 1/m and 1/m per pixel, shape (h, w, 3); NaN for pixels without depth.
     """
     h, w = depth.shape
     near_depth, disparity = depth.astype(np.float32), (1.0 / depth).astype(np.float32)
@@ -205,7 +219,7 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: Labels | None =
 
 
 def _solve(s: Array) -> Array:
-    """Least squares for every pixel from its moment sums, slightly damped toward fronto-parallel."""
+    """Solve the least-squares problem at every pixel from its moment sums, slightly damped toward fronto-parallel."""
     damping = 0.5
     n, u, v, uu, uv, vv = s[0] + 1e-9, s[1], s[2], s[3] + damping, s[4], s[5] + damping
     a, b, c = uu - u * u / n, uv - u * v / n, vv - v * v / n
@@ -216,7 +230,7 @@ def _solve(s: Array) -> Array:
 
 
 def normals_of(fits: Array, K: Array) -> Array:
-    """Unit normals toward the camera, shape (h, w, 3), of tangent planes."""
+    """Return the unit normals of tangent planes, pointing toward the camera, shape (h, w, 3)."""
     h, w = fits.shape[:2]
     u, v = np.meshgrid(np.arange(w) - K[0, 2], np.arange(h) - K[1, 2])
     d, d_u, d_v = np.moveaxis(fits, -1, 0)
@@ -225,7 +239,11 @@ def normals_of(fits: Array, K: Array) -> Array:
 
 
 def _across(shape: tuple[int, ...], reach: int) -> Iterator[tuple[Window, Window, Window, tuple[int, int]]]:
-    """Windows of all middle pixels and of the pixels ``reach`` before and after, with the (u, v) between these two."""
+    """Yield windows for comparing pixels across the image in each direction.
+
+    Each item contains the windows of the middle pixels, of the pixels ``reach`` before and of those ``reach`` after
+    them, and the offset (u, v) between the latter two.
+    """
     h, w = shape
     for du, dv in ((1, 0), (0, 1), (1, 1), (1, -1)):
         r = reach if du * dv == 0 else max(1, round(reach * 0.7))
@@ -239,10 +257,11 @@ def _moved(window: Window, du: int, dv: int) -> Window:
 
 
 def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, Array]:
-    """Bend and jump of the surface [m] from pixels ``a`` to pixels ``b``, ``offset`` (u, v) further.
+    """Return the bend and jump of the surface [m] between pixels ``a`` and pixels ``b`` at ``offset`` (u, v).
 
-    ``bend``: positive for an inward crease (each lies in front of the other's tangent plane), negative for an outward
-    one. ``jump``: positive where ``b`` lies in front and ``a`` behind, negative the other way round. One of them is 0.
+    The bend is positive for an inward crease (each surface is in front of the other's tangent plane) and negative for
+    an outward one. The jump is positive if ``b`` is in front of ``a`` and negative if it is behind. At least one of the
+    two is 0.
     """
     along_a = offset[0] * a[..., 1] + offset[1] * a[..., 2]
     along_b = offset[0] * b[..., 1] + offset[1] * b[..., 2]
@@ -256,7 +275,7 @@ def _bend_and_jump(a: Array, b: Array, offset: tuple[int, int]) -> tuple[Array, 
 
 
 def _breaks(depth: Array) -> Array:
-    """Jump of the depth [m] to a direct neighbor beyond any slope; it needs no surface on either side."""
+    """Return the depth jump [m] to adjacent pixels in excess of any slope; this requires no surface on either side."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):
@@ -268,5 +287,5 @@ def _breaks(depth: Array) -> Array:
 
 
 def _noise_of(depth: Array) -> Array:
-    """The edge strength [m] that smoothed noise reaches, shape (h, w)."""
+    """Return the edge strength [m] that smoothed noise can reach, shape (h, w)."""
     return np.asarray(0.0015 + 0.8 * np.nan_to_num(depth_sigma(depth), nan=1.0))

@@ -1,4 +1,4 @@
-"""Close the silhouettes of objects over pixels that the cut left out: lost readings, and the bottoms of bowls."""
+"""Extend object silhouettes over pixels that the cut missed: pixels without depth, and the bottoms of bowls."""
 
 from __future__ import annotations
 
@@ -21,18 +21,20 @@ from simfoundry.capture.segment.masks import (
 )
 from simfoundry.geometry.frames import Array
 
-MEASURED = 0.1  # share of a hole's pixels with depth from which on its depth decides what it shows
-INSIDE = 0.7  # of a hole's points over the object's footprint
-WALL = 0.012  # [m] above the support
-CELL = 0.002  # [m]
-OPEN = 0.2  # of an object's pixels that the bottom of a container shows at least
-BOUNDED = 0.6  # of the measured surroundings of a bottom that are its object
-SURROUNDED = 14  # of 16 directions in which there is a wall
+MEASURED = 0.1  # minimum fraction of a hole's pixels with depth for the depth to be conclusive
+INSIDE = 0.7  # minimum fraction of a hole's points that must be over the object's footprint
+WALL = 0.012  # [m] minimum height of a wall above the support
+CELL = 0.002  # [m] cell size of the footprint plan
+OPEN = 0.2  # minimum area of a container's visible bottom, as a fraction of the object's pixels
+BOUNDED = 0.6  # minimum fraction of a bottom's measured surroundings that belongs to the object
+SURROUNDED = 14  # minimum number of directions, out of 16, in which there is a wall
 
 
 def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int) -> Labels:
-    """Give each object the unlabeled pixels that are its own: those without depth in gaps up to ``radius`` [px] wide
-    to either side, and those it encloses, except where one sees the support through it.
+    """Assign unlabeled pixels to the objects that they belong to.
+
+    An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses,
+    unless the support is visible through the opening.
     """
     out = _without_gaps(labels, ~np.isfinite(depth), radius)
     for k in range(1, int(labels.max()) + 1):
@@ -46,7 +48,7 @@ def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int
 
 
 def _without_gaps(labels: Labels, lost: Mask, radius: int) -> Labels:
-    """Close each object over ``lost`` pixels; where two objects claim one, the lower number has it."""
+    """Close the gaps in each object at ``lost`` pixels; a pixel claimed by two objects goes to the lower number."""
     out = labels.copy()
     for k in range(1, int(labels.max()) + 1):
         out[closed(labels == k, radius) & lost & (out == 0)] = k
@@ -54,9 +56,10 @@ def _without_gaps(labels: Labels, lost: Mask, radius: int) -> Labels:
 
 
 def _bottom(mask: Mask, free: Mask, points_W: Array) -> Mask:
-    """The ``free`` pixels that lie within the footprint of an object whose wall surrounds them: the inside of a bowl.
+    """Return the ``free`` pixels inside a bowl: those within the footprint of an object whose wall surrounds them.
 
-    The near wall of a bowl is often a rim too thin to be measured all along, so that no pixels of it enclose these.
+    The near rim of a bowl is often too thin to be measured along its entire length, so the labeled pixels may not
+    enclose the inside.
     """
     import cv2
 
@@ -64,7 +67,7 @@ def _bottom(mask: Mask, free: Mask, points_W: Array) -> Mask:
     wall = points_W[mask & (points_W[..., 2] > WALL)][:, :2]
     if len(wall) < 50 or np.nanquantile(points_W[..., 2][mask], 0.02) > WALL or not _is_round(wall):
         return nothing
-    # The footprint drawn as a plan of 2 mm cells, drawn in by as much as a wall is thick.
+    # Rasterize the footprint in 2 mm cells, and shrink it by the thickness of a wall.
     corner = wall.min(axis=0) - 0.01
     columns, rows = (np.ceil((np.ptp(wall, axis=0) + 0.02) / CELL).astype(int) + 1).tolist()
     hull = cv2.convexHull(np.round((wall - corner) / CELL).astype(np.int32))
@@ -80,9 +83,9 @@ def _bottom(mask: Mask, free: Mask, points_W: Array) -> Mask:
 
 
 def _bounded(area: Mask, mask: Mask, free: Mask) -> Mask:
-    """The connected parts of ``area`` whose surroundings, as far as measured, belong to ``mask`` for the most part.
+    """Return the connected components of ``area`` whose measured surroundings mostly belong to ``mask``.
 
-    The support under the overhang of a bowl lies within its footprint as well, but has more support before it.
+    The support surface below the overhang of a bowl is also within its footprint, but it adjoins more support surface.
     """
     gap = max(5, round(float(np.sqrt(area.sum())) / 10))  # where the rim was not measured
     parts, areas = components(opened(area, np.ones((gap, gap), np.uint8)))
@@ -97,7 +100,7 @@ def _bounded(area: Mask, mask: Mask, free: Mask) -> Mask:
 
 
 def _is_round(xy: Array) -> bool:
-    """Test whether positions [m], shape (n, 2), fill at least as much of their bounding circle as a square does."""
+    """Return True if positions [m], shape (n, 2), fill their bounding circle at least as well as a square does."""
     import cv2
 
     hull = cv2.convexHull((xy * 1000).astype(np.float32))
@@ -106,9 +109,9 @@ def _is_round(xy: Array) -> bool:
 
 
 def _is_own(hole: Mask, mask: Mask, points_W: Array) -> bool:
-    """Test whether ``hole`` shows a surface over the footprint of the object: the bottom of a bowl, not a table.
+    """Return True if ``hole`` shows a surface above the object's footprint, such as the bottom of a bowl.
 
-    The table seen through the handle of a mug lies behind the mug, outside of its footprint.
+    In contrast, the table seen through the handle of a mug is behind the mug, outside of its footprint.
     """
     measured = np.isfinite(points_W[..., 2])
     seen = points_W[hole & measured]

@@ -1,4 +1,4 @@
-"""Support graph: which part stands on which, which occludes which, and which cannot be an object."""
+"""The support graph: which parts stand on others, which parts occlude others, and which cannot be objects."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from simfoundry.capture.segment.masks import Labels, Mask, hull_mm, in_hull, thi
 from simfoundry.capture.segment.regions import Crop
 from simfoundry.geometry.frames import Array
 
-CONTACT = 0.015  # [m] largest gap between an object and its support
-OVERLAP = 0.05  # least share of the smaller visible footprint that an object shares with its support
+CONTACT = 0.015  # [m] maximum gap between an object and its support
+OVERLAP = 0.05  # minimum overlap between an object and its support, as a fraction of the smaller visible footprint
 
 
 @dataclass(frozen=True, eq=False)
 class RegionPart:
-    """One labeled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
+    """A labeled region: its heights above the support [m], area facing the camera [m²], and points in the world [m]."""
 
     label: int
     bottom: float
@@ -28,15 +28,15 @@ class RegionPart:
 
     @property
     def is_grounded(self) -> bool:
-        """Reach down to the support, within what noise and smoothing leave open."""
+        """True if the part reaches down to the support, within the uncertainty due to noise and smoothing."""
         return self.bottom < CONTACT + 0.005
 
 
 def parts_of(labels: Labels, points_W: Array, pixel_area: Array) -> list[RegionPart]:
-    """Return the parts of the regions 1..n, in ascending order."""
+    """Return a part for each of the regions 1..n, in ascending order."""
     out = []
     for label in range(1, int(labels.max()) + 1):
-        mask = (labels == label) & np.isfinite(pixel_area)  # given masks cover pixels without depth too
+        mask = (labels == label) & np.isfinite(pixel_area)  # user-provided masks may include pixels without depth
         points = points_W[mask]
         bottom, top = np.quantile(points[:, 2], [0.02, 0.98]) if len(points) else (0.0, 0.0)
         out.append(RegionPart(label, float(bottom), float(top), float(pixel_area[mask].sum()), points))
@@ -44,10 +44,10 @@ def parts_of(labels: Labels, points_W: Array, pixel_area: Array) -> list[RegionP
 
 
 def carriers(parts: list[RegionPart]) -> dict[int, int]:
-    """Map each part to its support: the part that it begins on top of, else 0 for the table.
+    """Map each part to its support: the part on whose top it starts, or 0 for the table.
 
-    A part that neither reaches the table nor has another part below it has a hidden foot, and stands on the table:
-    being near another part is no evidence of standing on it.
+    If a part neither reaches the table nor has another part below it, its base is hidden, and it is assumed to stand on
+    the table. Being close to another part is not evidence of standing on it.
     """
     return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
 
@@ -60,7 +60,7 @@ def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
 
 
 def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the highest part right under ``part``; it may also rise beside it, as the wall of a tray does."""
+    """Return the highest part right below ``part``; it may also extend up beside it, like the wall of a tray."""
     low = part.points_W[part.points_W[:, 2] < part.bottom + 0.02][:, :2]
     best, height = 0, 0.0
     for other in parts:
@@ -80,7 +80,7 @@ def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
 
 
 def shared_footprint(one: RegionPart, other: RegionPart) -> float:
-    """Overlap of two convex footprints, as a share of the smaller one."""
+    """Return the overlap between the convex footprints of two parts, as a fraction of the smaller footprint."""
     import cv2
 
     a, b = hull_mm(one.points_W), hull_mm(other.points_W)
@@ -89,9 +89,9 @@ def shared_footprint(one: RegionPart, other: RegionPart) -> float:
 
 
 def below(labels: Labels, crop: Crop) -> dict[int, float]:
-    """Share of each region's lower edge below which an occluder, or no depth, is seen.
+    """Return the fraction of each region's lower edge that has an occluder or missing depth below it.
 
-    1: the foot may be hidden; 0: the background is visible below it.
+    At 1, the base of the object may be hidden; at 0, the background is visible below it.
     """
     at, under, other = _pixels_below(labels, crop)
     here, there = crop.depth[at], crop.depth[under]
@@ -100,9 +100,9 @@ def below(labels: Labels, crop: Crop) -> dict[int, float]:
 
 
 def sinking(labels: Labels, crop: Crop) -> dict[int, float]:
-    """Share of each region's lower edge below which its surface continues under the level of the support.
+    """Return the fraction of each region's lower edge below which its surface continues below the level of the support.
 
-    An object on the support ends there; one behind it on the floor does not.
+    An object on the support ends at that level; an object on the floor behind the support does not.
     """
     at, under, other = _pixels_below(labels, crop)
     here, there = crop.points_W[at], crop.points_W[under]
@@ -114,7 +114,10 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
-    """The labeled pixels, those right below them by gravity, and the labels there, -1 outside the crop."""
+    """Return the labeled pixels, the pixels right below them in the direction of gravity, and the labels of the latter.
+
+    Labels outside the crop are -1.
+    """
     h, w = labels.shape
     du, dv = (round(x * (crop.reach + 2)) for x in crop.down)
     rows, columns = np.nonzero(labels > 0)
@@ -125,7 +128,7 @@ def _pixels_below(labels: Labels, crop: Crop) -> tuple[Pixels, Pixels, Labels]:
 
 
 def _shares(labels: Labels, at: Pixels, edge: Mask, marked: Mask) -> dict[int, float]:
-    """Share of each region's pixels of the ``edge`` that are ``marked``."""
+    """Return the fraction of each region's ``edge`` pixels that are ``marked``."""
     count = int(labels.max()) + 1
     own = labels[at][edge]
     shares = np.bincount(own, marked[edge], count) / np.maximum(np.bincount(own, minlength=count), 1)

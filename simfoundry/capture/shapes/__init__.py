@@ -1,1 +1,1 @@
-"""Fitting of one object's visible points by a closed, textured solid that stands on its support."""
+"""Fit a closed, textured solid that stands on its support to the visible points of an object."""

@@ -1,9 +1,9 @@
-"""Completion of shapes beyond primitives: visible surface, mirrored far side, carved by observed free space.
+"""Complete shapes that are not primitives: visible surface and mirrored far side, carved by observed free space.
 
-The solid is a stack of horizontal slices. In each slice the near side is what was seen, the far side its mirror image
-across a vertical plane along the object, never beyond where the camera saw through, and never short of what was seen
-further up. Each slice is a star-shaped polygon about its own center, so the stack is closed and free of
-self-intersection by construction.
+The solid is a stack of horizontal slices. In each slice, the near side is the visible surface, and the far side is its
+mirror image across a vertical plane along the object. The far side never extends into space that the camera observed
+to be free, and always extends at least as far as the surface seen higher up. Each slice is a star-shaped polygon about
+its own center, so the stack is closed and free of self-intersections by construction.
 """
 
 from __future__ import annotations
@@ -22,17 +22,21 @@ from simfoundry.capture.shapes.fit_primitives import DEPTH_PRIOR
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh, closed_mesh
 
-LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
-FOOT_MARGIN = 0.15  # of the foot's radius, that the center of mass must keep from the edge of the foot
-_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a meter
-_STEPS = 48  # samples of free space behind a column: 2 to 5 mm apart
-_MIN_IN_SLICE = 12  # points that a slice needs for two percentiles to mean anything
-_PAD = 0.0025  # height of the pad under a solid that would tip over [m]
-_SEEN_PAST = 0.01  # [m] distance behind a point at which the observed surface proves the point free
+LEVELS, SIDES, COLUMNS = 18, 40, 32  # number of slices, and corners and columns per slice: 5 to 10 mm on most objects
+FOOT_MARGIN = 0.15  # minimum distance of the center of mass from the edge of the base, as a fraction of its radius
+_THINNEST = 0.003  # [m] minimum thickness of a solid: the depth noise at half a meter
+_STEPS = 48  # number of free-space samples behind a column; they are 2 to 5 mm apart
+_MIN_IN_SLICE = 12  # minimum number of points in a slice for two percentiles to be meaningful
+_PAD = 0.0025  # [m] height of the pad under a solid that would tip over
+_SEEN_PAST = 0.01  # [m] a point is free if the observed surface is at least this far behind it
 
 
 class _Slice(NamedTuple):
-    """Columns ``t`` across and the ``near`` and ``far`` side along the depth axis [m] at one height ``level`` [m]."""
+    """A horizontal slice at height ``level`` [m].
+
+    ``t`` [m] are the positions of its columns across the object; ``near`` and ``far`` [m] are the positions of its two
+    sides along the depth axis.
+    """
 
     level: float
     t: Array
@@ -42,7 +46,7 @@ class _Slice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Axes:
-    """Axes of the slices, ``across`` the object and ``along`` its depth (world xy, shape (2,))."""
+    """The axes of the slices: ``across`` the object and ``along`` its depth (world xy, shape (2,))."""
 
     evidence: Evidence
     across: Array
@@ -50,7 +54,7 @@ class _Axes:
 
     @classmethod
     def of(cls, evidence: Evidence) -> _Axes:
-        """Return axes along the broad side of the object, but within 50 degrees of the view."""
+        """Return axes aligned with the broad side of the object, at most 50 degrees from those of the view."""
         across = evidence.across
         xy = evidence.points[:, :2] - np.median(evidence.points[:, :2], axis=0)
         values, vectors = np.linalg.eigh(np.cov(xy.T))
@@ -61,7 +65,7 @@ class _Axes:
         return cls(evidence, across, np.array([across[1], -across[0]]))
 
     def is_free(self, t: Array, s: Array, level: float) -> NDArray[np.bool_]:
-        """Mark the places (t, s) [m] at the height ``level`` [m] that the camera saw past."""
+        """Return a mask of the positions (t, s) [m] at height ``level`` [m] that the camera saw to be free."""
         frame = self.evidence.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
         p_C = self.evidence.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
@@ -74,7 +78,7 @@ class _Axes:
 
 
 def complete(evidence: Evidence) -> FitCandidate:
-    """Complete the points in ``evidence`` to a solid that stands on ``base_z``."""
+    """Complete the points in ``evidence`` to form a solid that stands on ``base_z``."""
     axes = _Axes.of(evidence)
     rings = _carve(axes, _smooth(np.array([_ring(axes, one) for one in _slices(axes)])))
     rings = _stabilize(_stand(rings, evidence.base_z))
@@ -85,7 +89,7 @@ def complete(evidence: Evidence) -> FitCandidate:
 
 
 def _slices(axes: _Axes) -> list[_Slice]:
-    """The slices of the solid from the bottom up."""
+    """Return the slices of the solid, from the bottom up."""
     fronts = _fronts(axes)
     slices: list[_Slice] = []
     for front, middle in zip(fronts, _mirror_depths(fronts), strict=True):
@@ -97,7 +101,7 @@ def _slices(axes: _Axes) -> list[_Slice]:
 
 
 def _fronts(axes: _Axes) -> list[_Slice]:
-    """Each slice as far as it was seen, from the top down."""
+    """Return the visible part of each slice, from the top down."""
     evidence = axes.evidence
     t, s = evidence.points[:, :2] @ axes.across, evidence.points[:, :2] @ axes.along
     z = evidence.points[:, 2]
@@ -124,11 +128,11 @@ def _columns(t: Array) -> Array:
 
 
 def _mirror_depths(fronts: list[_Slice]) -> Array:
-    """Position of the mirror plane in each slice [m].
+    """Return the position of the mirror plane in each slice [m].
 
-    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width; a flat front tells nothing, and
-    the depth prior of boxes takes over. Standing objects are symmetric about one plane from foot to cap, so the
-    slices share their median as far as each slice's width allows.
+    Over the inner 85 % of its width, an ellipse curves back by 0.47 of its half depth, which determines the plane. A
+    flat front provides no information, so the depth prior for boxes is used instead. Standing objects are usually
+    symmetric about a single plane from base to cap, so all slices use the median, as far as their widths allow.
     """
     width = np.array([one.t[-1] - one.t[0] for one in fronts])
     front, turned = np.array([np.percentile(one.near, [10.0, 85.0]) for one in fronts]).T
@@ -137,7 +141,7 @@ def _mirror_depths(fronts: list[_Slice]) -> Array:
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
-    """A low or high percentile of ``s`` near each column, interpolated where a column saw nothing."""
+    """Return a percentile of ``s`` near each column; columns without points are interpolated."""
     pitch = max(float(columns[1] - columns[0]), 1e-6)
     index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, COLUMNS - 1)
     out = binned(index, s, COLUMNS, 2, lambda here: np.percentile(here, percentile))
@@ -147,7 +151,7 @@ def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
 
 
 def _free_limit(axes: _Axes, front: _Slice) -> Array:
-    """Greatest depth of a solid per column [m] before it would occlude the background that the camera saw."""
+    """Return the maximum depth of the solid in each column [m] that does not occlude the observed background."""
     steps = np.linspace(0.0, 1.3 * float(front.t[-1] - front.t[0]) + 0.01, _STEPS)
     s = front.near[:, None] + steps
     free = axes.is_free(np.broadcast_to(front.t[:, None], s.shape), s, front.level)
@@ -155,7 +159,7 @@ def _free_limit(axes: _Axes, front: _Slice) -> Array:
 
 
 def _extend(axes: _Axes, own: _Slice, above: _Slice) -> _Slice:
-    """Widen a slice to the columns of the slice above that do not overhang observed free space."""
+    """Extend a slice to the columns of the slice above it, except for those that overhang observed free space."""
     t, low, high = above.t, own.t[0], own.t[-1]
     held = ~axes.is_free(t, (above.near + above.far) / 2, own.level)
     first = last = int(np.argmin(np.abs(t - (low + high) / 2)))
@@ -173,7 +177,7 @@ def _extend(axes: _Axes, own: _Slice, above: _Slice) -> _Slice:
 
 
 def _ring(axes: _Axes, one: _Slice) -> Array:
-    """Star-shaped outline about the slice's center, world [m], shape (SIDES, 3), counter-clockwise."""
+    """Return a star-shaped outline about the slice's center in the world [m], counterclockwise, shape (SIDES, 3)."""
     angle = np.arange(SIDES) * (2 * math.pi / SIDES)
     ray = np.column_stack([np.cos(angle), np.sin(angle)])
     t, near, far = one.t, one.near, one.far
@@ -185,12 +189,12 @@ def _ring(axes: _Axes, one: _Slice) -> Array:
     first_out = np.where(inside.all(axis=1), len(rho), np.argmin(inside, axis=1))
     local = center + ray * np.maximum(rho[np.maximum(first_out - 1, 0)], _THINNEST / 2)[:, None]
     xy = local[:, :1] * axes.across + local[:, 1:] * axes.along
-    # Along is a quarter turn clockwise from across, so that the angle runs clockwise in the world.
+    # The axis `along` is a quarter turn clockwise from `across`, so the angle increases clockwise in the world.
     return np.column_stack([xy, np.full(SIDES, one.level)])[::-1]
 
 
 def _smooth(rings: Array) -> Array:
-    """Smooth the noise: one pass around each ring, one pass up the stack."""
+    """Smooth out noise with one pass around each ring and one pass up the stack."""
     round_ = 0.25 * np.roll(rings, 1, axis=1) + 0.5 * rings + 0.25 * np.roll(rings, -1, axis=1)
     padded = np.concatenate([round_[:1], round_, round_[-1:]])
     out = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
@@ -199,7 +203,7 @@ def _smooth(rings: Array) -> Array:
 
 
 def _carve(axes: _Axes, rings: Array) -> Array:
-    """Pull every point in observed free space toward its slice's center until it leaves that space."""
+    """Move every point in observed free space toward the center of its slice until it leaves that space."""
     center = rings[..., :2].mean(axis=1, keepdims=True)
     out = rings.copy()
     share = np.ones(rings.shape[:2])
@@ -212,7 +216,7 @@ def _carve(axes: _Axes, rings: Array) -> Array:
 
 
 def _stand(rings: Array, base_z: float) -> Array:
-    """Close the stack: half a level on top, the lowest slice extended straight down to the base."""
+    """Close the stack by adding half a level on top and extending the lowest slice straight down to the base."""
     pitch = float(rings[1, 0, 2] - rings[0, 0, 2]) if len(rings) > 1 else 2 * float(rings[0, 0, 2] - base_z)
     top, foot = rings[-1:].copy(), rings[:1].copy()
     top[..., 2] += pitch / 2
@@ -221,7 +225,7 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilize(rings: Array) -> Array:
-    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disk under its center of mass."""
+    """Add a thin pad to a solid that would tip over: the hull of its base and a disk under its center of mass."""
     import shapely
 
     foot = rings[0, :, :2]
@@ -242,7 +246,10 @@ def _stabilize(rings: Array) -> Array:
 
 
 def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
-    """Points where rays from the foot's center through its points meet the hull of foot and disk, shape (SIDES, 2)."""
+    """Return the convex hull of a base outline and a disk, sampled at the same angles as the outline, shape (SIDES, 2).
+
+    Each point is where a ray from the center of the base through a point of its outline meets the hull.
+    """
     from scipy.spatial import ConvexHull
 
     angle = np.arange(24) * (2 * math.pi / 24)
@@ -257,9 +264,10 @@ def _hull_with_disk(foot: Array, center: Array, radius: float) -> Array:
 
 
 def loft_mesh(rings: Array) -> Mesh:
-    """Rings of points [m], shape (k, sides, 3), from the bottom up, each counter-clockwise from above, closed by caps.
+    """Return a closed mesh through rings of points [m], shape (k, sides, 3).
 
-    The caps are fans about each end ring's mean, so the end rings must be star-shaped about it.
+    The rings are ordered from the bottom up, and each is counterclockwise when seen from above. The mesh is closed with
+    triangle fans about the mean of the first and the last ring, which must be star-shaped about it.
     """
     levels, sides, _ = rings.shape
     top_down = rings[::-1].reshape(-1, 3)
@@ -268,7 +276,10 @@ def loft_mesh(rings: Array) -> Mesh:
 
 
 def hull_margin(footprint: Array, point: Array) -> float:
-    """Distance inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
+    """Return the distance [m] of a point from the boundary of the convex hull of ``footprint`` (xy [m], shape (n, 2)).
+
+    The distance is positive inside the hull and negative outside.
+    """
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(footprint).equations

@@ -1,8 +1,8 @@
-"""Evidence of the camera about one object, rays against solids, and how well a solid explains the evidence.
+"""Camera evidence about an object, ray casts against solids, and a measure of how well a solid explains the evidence.
 
-Everything is analytic, so a fit can ask it often. A ray cast returns the depth of the first hit along each ray
-(infinity for a miss) and the cosine between the ray and the surface normal times the length of the ray, so that
-``(depth - observed) * slant`` is a distance at right angles to the surface [m].
+Ray casts against primitives are analytic, so a fit can evaluate them many times. A ray cast returns the depth of the
+first hit along each ray (infinity for a miss), and the cosine between the ray and the surface normal multiplied by the
+length of the ray, so that ``(depth - observed) * slant`` is a distance perpendicular to the surface [m].
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.ray_casts import area_normals, first_hits, scattered_rays, turned, unit
 from simfoundry.geometry.shapes import Geometry
 
-MAX_RAYS = 2600  # rays of one object: a grid of 51 x 51; a fit casts them some thousand times
-_WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too
-FREE_WEIGHT = 0.7  # cost of a ray that passes where the solid is, of one that misses it: silhouettes err by a pixel
-_BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
-_BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
-_IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
+MAX_RAYS = 2600  # maximum number of rays per object, a grid of 51 x 51; a fit casts them about a thousand times
+_WINDOW_MARGIN = 0.12  # as a fraction of the object's size in the image; free space beside it is evidence too
+FREE_WEIGHT = 0.7  # cost of a free ray that the solid blocks, relative to a miss; silhouettes are off by about a pixel
+_BLIND_MISS = 0.4  # cost of an object pixel without depth that the solid misses
+_BLIND_HIT = 0.15  # cost of a background pixel without depth that the solid covers; often the projector's shadow
+_IN_FRONT = 0.2  # minimum cosine between a ray and the view axis for rays that share a view frame
 
-# Gain in cost that a family needs over an upright box or cylinder to be chosen. The more freely a family
-# follows the points, the less its lower cost says.
+# Cost advantage over an upright box or cylinder that each family requires to be chosen. The more flexible a family is,
+# the less meaningful its lower cost is.
 PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Points of one object and rays through and around it.
+    """The points of an object, and rays through and around it.
 
-    ``points`` [m], world, shape (n, 3), without flying pixels; ``rays`` are
-    world directions scaled so that ``eye + depth * ray`` is the point at that depth, shape (m, 3); ``depth``
-    [m] observed along the rays, NaN where there is none, shape (m,); ``inside`` marks the object's own rays and
-    ``hidden`` those that belong to other objects, both bool, shape (m,); ``scale`` [m] is the distance at which a
-    residual stops counting as noise; ``base_z`` [m] the height of what the object stands on.
+    ``points`` [m] are in the world frame, shape (n, 3), without flying pixels. ``rays`` are world directions, shape
+    (m, 3), scaled such that ``eye + depth * ray`` is the point at that depth. ``depth`` [m] is the depth observed along
+    each ray, shape (m,), and is NaN for rays without a reading. ``inside`` marks the object's own rays and ``hidden``
+    the rays of other objects; both are bool, shape (m,). ``scale`` [m] is the distance above which a residual no longer
+    counts as noise. ``base_z`` [m] is the height of the surface on which the object stands.
     """
 
     frame: Frame
@@ -65,17 +65,17 @@ class Evidence:
 
     @property
     def across(self) -> Array:
-        """Horizontal unit direction to the left of the view, shape (2,)."""
+        """Horizontal unit direction to the left, as seen by the camera, shape (2,)."""
         return np.array([-self.view[1], self.view[0]])
 
     @property
     def top(self) -> float:
-        """Robust height of the highest points [m]."""
+        """Height of the highest points [m], robust to noise."""
         return robust_top(self.points[:, 2])
 
 
 def robust_top(z: Array) -> float:
-    """Height [m] that noise does not inflate: the median of the highest two percent, but of at least ten points."""
+    """Return a height [m] that noise does not inflate: the median of the highest 2 % of points, but at least ten."""
     count = max(min(10, len(z)), len(z) // 50)
     return float(np.median(np.partition(z, len(z) - count)[len(z) - count :]))
 
@@ -89,7 +89,7 @@ def gather(
 ) -> Evidence:
     """Collect the evidence for the object under ``mask`` (bool, shape (h, w)).
 
-    ``labels`` (int32, shape (h, w)) names the other objects, so that rays that end on them are not taken for misses.
+    ``labels`` (int32, shape (h, w)) identifies the other objects, so that rays that end on them do not count as misses.
     """
     keep = mask & np.isfinite(frame.depth) & ~flying_pixels(frame.depth)
     distance = float(np.median(frame.depth[keep])) if keep.any() else 1.0
@@ -120,10 +120,10 @@ def gather(
 
 
 def main_body(points: Array, pitch: float) -> NDArray[np.bool_]:
-    """Select the points of the object itself, without stray background under its mask; bool, shape (n,).
+    """Return a mask of the points on the object itself, excluding stray background under its mask; bool, shape (n,).
 
-    Points are joined through a grid of ``pitch`` [m]; a part counts if it holds a tenth of the largest part's points,
-    so that an object cut in two by something before it stays whole.
+    Points are connected through a grid of ``pitch`` [m]. A connected part is kept if it has at least a tenth as many
+    points as the largest part, so that an object split in two by an occluder remains whole.
     """
     from scipy import ndimage
 
@@ -140,12 +140,18 @@ def main_body(points: Array, pitch: float) -> NDArray[np.bool_]:
 
 
 def depth_scale(distance: float) -> float:
-    """Residual [m] beyond the noise of common depth cameras at a distance [m]: it grows with the square of it."""
+    """Return the residual [m] that exceeds the noise of common depth cameras at a given distance [m].
+
+    It grows with the square of the distance.
+    """
     return 0.005 + 0.004 * distance**2
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of eight neighbors are at their depth."""
+    """Return a mask of flying pixels, which are located between a near and a far surface.
+
+    Fewer than three of a flying pixel's eight neighbors have similar depth.
+    """
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)
@@ -158,13 +164,13 @@ def flying_pixels(depth: Array) -> NDArray[np.bool_]:
 def binned(
     bins: NDArray[np.intp], values: Array, count: int, fewest: int, statistic: Callable[[Array], np.floating]
 ) -> Array:
-    """A statistic of the values in each of ``count`` bins; NaN in those that hold fewer than ``fewest``."""
+    """Return a statistic of the values in each of ``count`` bins; NaN for bins with fewer than ``fewest`` values."""
     groups = (values[bins == k] for k in range(count))
     return np.array([statistic(group) if len(group) >= fewest else np.nan for group in groups])
 
 
 def smooth_gaps(x: Array, values: Array) -> Array:
-    """Interpolate the values that are NaN, hold the ends, and take the median of each three neighbors."""
+    """Interpolate NaN values, extrapolate the ends as constants, and apply a three-point median filter."""
     from scipy.ndimage import median_filter
 
     good = np.isfinite(values)
@@ -172,7 +178,7 @@ def smooth_gaps(x: Array, values: Array) -> Array:
 
 
 def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the rays: a regular grid over the mask's window, with a margin."""
+    """Return the rows and columns of the rays: a regular grid over the bounding window of the mask, with a margin."""
     rows, cols = np.nonzero(mask)
     margin = int(6 + _WINDOW_MARGIN * max(np.ptp(rows), np.ptp(cols)))
     top, bottom = max(0, rows.min() - margin), min(mask.shape[0] - 1, rows.max() + margin)
@@ -184,14 +190,14 @@ def _ray_grid(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.int
 
 @dataclass(frozen=True, eq=False)
 class SolidHits:
-    """``depth`` along the rays (inf: miss) and ``slant``, both shape (m,)."""
+    """The hits of rays on a solid: ``depth`` along each ray (inf for a miss) and ``slant``, both with shape (m,)."""
 
     depth: Array
     slant: Array
 
 
 def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
-    """Rays against a box of full extents ``size`` [m] centered on ``X_WO``."""
+    """Cast rays against a box with full extents ``size`` [m], centered at ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     low, high = (-size / 2 - origin) / safe, (size / 2 - origin) / safe
@@ -204,7 +210,7 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
 
 
 def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidHits:
-    """Rays against a sphere."""
+    """Cast rays against a sphere."""
     to_eye = eye - center
     a = np.einsum("ij,ij->i", rays, rays)
     b = rays @ to_eye
@@ -217,10 +223,10 @@ def cast_sphere(eye: Array, rays: Array, radius: float, center: Array) -> SolidH
 
 
 def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits:
-    """Rays against a surface of revolution about the local z axis.
+    """Cast rays against a surface of revolution about the local z axis.
 
-    ``profile`` is a polyline of (radius, height) [m], shape (k, 2); each of its edges sweeps a cone, a cylinder or a
-    ring.
+    ``profile`` is a polyline of (radius, height) [m], shape (k, 2); each of its edges sweeps out a cone, a cylinder or
+    a ring.
     """
     o, d = _to_local(eye, rays, X_WO)
     r0, z0 = profile[:-1, 0][:, None], profile[:-1, 1][:, None]
@@ -256,7 +262,10 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits
 
 
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
-    """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
+    """Cast rays against triangles in the world (vertices [m], shape (n, 3); faces, shape (k, 3)).
+
+    There are no restrictions on the rays or the solid.
+    """
     face = first_faces(eye, rays, vertices, faces)
     hit = face >= 0
     corners = vertices[faces[face[hit]]]
@@ -270,13 +279,16 @@ def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]
 
 
 def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The face that each ray meets first, -1 for none, shape (m,); arguments as in :func:`cast_mesh`."""
+    """Return the index of the first face that each ray hits, or -1 for a miss, shape (m,).
+
+    The arguments are the same as for :func:`cast_mesh`.
+    """
     corners = vertices[faces] - eye
     units = unit(rays)
     out = np.full(len(rays), -1, dtype=np.int64)
     todo = np.arange(len(rays))
     while len(todo):
-        # A view frame sees what lies in front of it; rays to all sides take several.
+        # A view frame covers only the directions in front of it; rays in all directions require several view frames.
         axis = unit(units[todo].mean(axis=0))
         if not (units[todo] @ axis > _IN_FRONT).any():
             axis = units[todo[0]]
@@ -290,18 +302,19 @@ def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int3
 
 
 def _frame_along(axis: Array) -> Array:
-    """A rotation whose third column is the unit vector ``axis``, shape (3, 3)."""
+    """Return a rotation matrix whose third column is the unit vector ``axis``, shape (3, 3)."""
     side = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis))
     return np.column_stack([side, np.cross(axis, side), axis])
 
 
 @dataclass(frozen=True)
 class RayAgreement:
-    """Agreement of a solid with the rays.
+    """The agreement between a solid and the rays.
 
-    ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
-    rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
-    [m] over the object's measured rays that hit; ``cost`` in about [0, 2] what fits minimize.
+    ``explained`` is the fraction of the object's measured rays that end within the noise scale of the solid.
+    ``intrusion`` is the number of rays on which the solid occupies space observed to be free, divided by the number of
+    the object's rays. ``fit`` [m] is the median distance over the object's measured rays that hit the solid. ``cost``,
+    roughly in [0, 2], is the value that fits minimize.
     """
 
     explained: float
@@ -311,7 +324,7 @@ class RayAgreement:
 
 
 def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
-    """Compare the hits of a solid with what was observed."""
+    """Compare the hits on a solid with the observations."""
     scale = evidence.scale
     hit = np.isfinite(hits.depth)
     measured = np.isfinite(evidence.depth)
@@ -340,7 +353,7 @@ def _to_local(eye: Array, rays: Array, X_WO: Pose) -> tuple[Array, Array]:
 
 
 def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Array, Array]:
-    """Fold the candidates of every edge, shape (k, m), into the nearest hit so far, shape (m,)."""
+    """Return the nearest of the previous hits, shape (m,), and the candidate hits on each edge, shape (k, m)."""
     pick = np.argmin(depth, axis=0)[None]
     nearest = np.take_along_axis(depth, pick, 0)[0]
     closer = nearest < best
@@ -349,10 +362,10 @@ def _nearer(best: Array, slant: Array, depth: Array, cosine: Array) -> tuple[Arr
 
 @dataclass(frozen=True, eq=False)
 class FitCandidate:
-    """One family's best solid; ``guessed`` if a prior supplied an extent that was not seen.
+    """The best solid from one family of shapes; ``guessed`` is True if a prior supplied an extent that was not visible.
 
-    The origin of ``X_WO`` is the center of the bounding box of a primitive, or of the base, z up, of a mesh.
-    ``profile`` (radius, height) [m], shape (k, 2), describes a body of revolution.
+    The origin of ``X_WO`` is the center of the bounding box for a primitive, or the center of the base (z up) for a
+    mesh. ``profile`` contains (radius, height) [m], shape (k, 2), for a body of revolution.
     """
 
     family: str
@@ -364,5 +377,5 @@ class FitCandidate:
 
     @property
     def cost(self) -> float:
-        """The cost that candidates compete by."""
+        """The cost used for comparing candidates."""
         return self.agreement.cost + PRIOR[self.family]

@@ -1,4 +1,4 @@
-"""Fitting of the closed solid that best explains one object's visible points and stands on its support."""
+"""Fit the closed solid that stands on the support and best explains the visible points of an object."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry, tessellate
 
-MIN_POINTS = 12  # points: twice the parameters of a box
-FEW_POINTS = 50  # points: fewer do not tell a curved side from noise
-OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
-GAIN = 0.03  # share of the object that a completed shape must explain beyond a simple one
+MIN_POINTS = 12  # minimum number of points: twice the number of parameters of a box
+FEW_POINTS = 50  # with fewer points than this, a curved side cannot be distinguished from noise
+OVERSIZE = 2.0  # maximum size relative to the visible part; a nearly flat side could be part of a huge cylinder
+GAIN = 0.03  # minimum fraction of the object that a completed shape must explain in addition to a simple one
 
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
     """A solid fitted to one object.
 
-    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the center of the
-    bounding box for primitives and at the center of the base, z up, for meshes; ``fit_m`` the median distance of the
-    object's visible points from the surface [m]; ``confidence`` in [0, 1], see :func:`confidence`; ``hollow`` says that
-    it is an open container modeled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
-    mesh is a body of revolution.
+    ``geometry`` is a primitive or a closed mesh. ``X_WO`` is its pose in the world, with the origin at the center of
+    the bounding box for primitives, and at the center of the base (z up) for meshes. ``fit_m`` is the median distance
+    of the object's visible points from the surface [m]. ``confidence`` is in [0, 1]; see :func:`confidence`. ``hollow``
+    is True for an open container modeled with its cavity. ``profile`` contains (radius, height) [m], shape (k, 2), if
+    the mesh is a body of revolution.
     """
 
     geometry: Geometry
@@ -51,19 +51,26 @@ def fit_shape(
 ) -> FittedShape:
     """Fit the solid that best explains the object under ``mask`` (bool, shape (h, w)).
 
-    It stands on ``base_z`` [m], the height of the surface below it in the world. ``labels`` (int32, shape (h, w)) marks
-    all objects of the picture: pixels of the others are then unknown, where they have no depth, rather than free.
-    Raises :class:`CaptureError` if fewer than ``MIN_POINTS`` pixels have depth.
+    Args:
+        frame: The RGB-D frame.
+        support: The surface that supports the objects.
+        mask: The object's pixels.
+        base_z: Height in the world of the surface on which the object stands [m].
+        labels: Labels of all objects in the image (int32, shape (h, w)). If specified, pixels of other objects without
+            depth are treated as unknown rather than free.
+
+    Raises:
+        CaptureError: Fewer than ``MIN_POINTS`` pixels have depth.
     """
     if mask.shape != frame.depth.shape:
-        raise ValueError(f"a mask of shape {mask.shape} does not match a picture of shape {frame.depth.shape}")
+        raise ValueError(f"a mask of shape {mask.shape} does not match an image of shape {frame.depth.shape}")
     count = int((mask & np.isfinite(frame.depth)).sum())
     if count >= MIN_POINTS:
         evidence = gather(frame, support, mask, base_z, labels)
         count = len(evidence.points)
     if count < MIN_POINTS:
-        message = f"an object has depth at {count} pixels only; a shape needs {MIN_POINTS}"
-        hint = "give it a mask by hand, take the picture from nearer, or leave the object out"
+        message = f"an object has depth at only {count} pixels; fitting a shape requires {MIN_POINTS}"
+        hint = "provide a mask for it, move the camera closer, or leave the object out"
         raise CaptureError("SF505", message, hint)
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(evidence)
@@ -79,9 +86,10 @@ def fit_shape(
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:
-    """Choose the cheapest candidate; a completed shape only if it explains clearly more than the best simple one.
+    """Return the candidate with the lowest cost.
 
-    It follows every dent, so its residuals are smaller than those of a carton that bulges a little.
+    A completed shape is chosen only if it explains clearly more than the best simple shape, because it follows every
+    dent, so its residuals are always smaller than those of a box fitted to a slightly bulging carton.
     """
     best = min(found, key=lambda c: c.cost)
     simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
@@ -93,7 +101,7 @@ def _net(result: RayAgreement) -> float:
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:
-    """Fit every family that the evidence can support; few points support boxes and cylinders only."""
+    """Fit every family of shapes that the evidence can support; few points support only boxes and cylinders."""
     found = [fit_box(evidence), fit_cylinder(evidence)]
     if len(evidence.points) < FEW_POINTS:
         return found
@@ -102,11 +110,12 @@ def candidates(evidence: Evidence) -> list[FitCandidate]:
 
 
 def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
-    """Confidence in a fit, in [0, 1]: the product of five shares.
+    """Return the confidence in a fit, in [0, 1].
 
-    The share of measured pixels explained within the noise scale; the share of rays without intrusion into free space;
-    ``exp(-fit / (5 % of the size))``; ``min(1, sqrt(points / 400))``; and 0.6 if a prior supplied an unseen extent, 0.7
-    for a completed shape, whose far side is a guess throughout, else 1.
+    The confidence is the product of five factors: the fraction of measured pixels explained within the noise scale; the
+    fraction of rays without intrusion into free space; ``exp(-fit / (5 % of the size))``; ``min(1, sqrt(points /
+    400))``; and a factor that is 0.6 if a prior supplied an extent that was not visible, 0.7 for a completed shape,
+    because its entire far side is a guess, and otherwise 1.
     """
     result = candidate.agreement
     size = float(np.ptp(evidence.points, axis=0).max())
@@ -118,5 +127,5 @@ def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
 
 
 def size_of(geometry: Geometry) -> tuple[float, ...]:
-    """Extents of a geometry's bounding box in its own frame [m]."""
+    """Return the extents of a geometry's bounding box in its own frame [m]."""
     return tuple(np.ptp(tessellate(geometry).vertices, axis=0).tolist())

@@ -1,4 +1,4 @@
-"""Bodies of revolution: bottles and jars as solids, bowls, cups and pots as solids with a cavity."""
+"""Fit bodies of revolution: bottles and jars as plain solids; bowls, cups and pots as solids with a cavity."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from simfoundry.capture.shapes.fit_primitives import search, start_axis
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import revolved
 
-LEVELS = 14  # levels of a profile: about 1 cm on bottles, 5 mm on bowls
-WALL = 0.004  # [m] wall of a container: crockery has 3 to 6 mm
-OPEN = 0.08  # share of the points that can only be seen if the object is open at the top
-PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a meter [m]
-SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
-FLOOR = 0.005  # [m] floor of a container, where it is not seen
+LEVELS = 14  # number of levels in a profile; they are about 1 cm apart on bottles and 5 mm on bowls
+WALL = 0.004  # [m] wall thickness of a container; crockery walls are 3 to 6 mm thick
+OPEN = 0.08  # minimum fraction of the points that are visible only if the object is open at the top
+PROFILE_STEP = 0.0007  # [m] half the depth noise of a good sensor at half a meter
+SIDES = 32  # number of sides of a solid of revolution; the radius is off by at most 0.5 %
+FLOOR = 0.005  # [m] floor thickness of a container whose floor is not visible
 _MIN_RADIUS = 0.003  # [m] the depth noise at half a meter
-_MIN_IN_LEVEL = 4  # points that a level needs for a median
+_MIN_IN_LEVEL = 4  # minimum number of points in a level for computing a median
 
 
 def fit_lathe(evidence: Evidence) -> FitCandidate:
@@ -36,7 +36,7 @@ def fit_lathe(evidence: Evidence) -> FitCandidate:
 
 
 def fit_hollow(evidence: Evidence) -> FitCandidate | None:
-    """Fit the open container of revolution that best explains the evidence; None if no points lie inside a rim."""
+    """Fit the open container of revolution that best explains the evidence; None if no points are inside a rim."""
     axis, radius = _rim_axis(evidence)
     if _seen_through_rim(evidence, axis, radius).mean() < OPEN:
         return None
@@ -49,7 +49,7 @@ def fit_hollow(evidence: Evidence) -> FitCandidate | None:
 def _fit(
     evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array]
 ) -> tuple[Array, Array]:
-    """Search the axis near ``axis`` [m]; return it with its profile."""
+    """Search for the best axis near ``axis`` [m]; return that axis and the profile about it."""
 
     def cost(x: Array) -> float:
         return _agreement(evidence, x, profile_of(evidence, x)).cost
@@ -60,7 +60,7 @@ def _fit(
 
 
 def _candidate(family: str, evidence: Evidence, axis: Array, profile: Array) -> FitCandidate:
-    """The solid of a profile without the corners that change it by less than ``PROFILE_STEP``; its ends stay put."""
+    """Return the solid for a profile, simplified by up to ``PROFILE_STEP``; the ends of the profile are kept."""
     import shapely
 
     line = shapely.LineString(np.round(profile, 4)).simplify(PROFILE_STEP, preserve_topology=False)
@@ -78,28 +78,28 @@ def _pose(evidence: Evidence, axis: Array) -> Pose:
 
 
 def _cylindrical(evidence: Evidence, axis: Array) -> tuple[Array, Array]:
-    """Distance from the axis and height above the base of every point [m]."""
+    """Return the distance from the axis and the height above the base for every point [m]."""
     offset = evidence.points[:, :2] - axis
     return np.hypot(offset[:, 0], offset[:, 1]), evidence.points[:, 2] - evidence.base_z
 
 
 def _level_radii(r: Array, z: Array, edges: Array) -> Array:
-    """Median radius in each level between ``edges``, NaN where there are too few points."""
+    """Return the median radius in each level between ``edges``; NaN for levels with too few points."""
     level = np.clip(np.searchsorted(edges, z) - 1, 0, LEVELS - 1)
     return binned(level, r, LEVELS, _MIN_IN_LEVEL, np.median)
 
 
 def _fill(z: Array, radii: Array, fallback: float) -> Array:
-    """Interpolate unseen levels; hold the ends."""
+    """Interpolate levels that were not visible, and extrapolate the ends as constants."""
     filled = smooth_gaps(z, radii) if np.isfinite(radii).any() else np.full(len(z), fallback)
     return np.maximum(filled, _MIN_RADIUS)
 
 
 def solid_profile(evidence: Evidence, axis: Array) -> Array:
-    """Profile of a closed solid about ``axis``: median radius of the side in each level, and a flat top."""
+    """Return the profile of a closed solid about ``axis``: the median side radius in each level, and a flat top."""
     r, z = _cylindrical(evidence, axis)
     height = max(evidence.top - evidence.base_z, 2 * _MIN_RADIUS)
-    side = z < height - 0.4 * evidence.scale  # above are the points of the lid
+    side = z < height - 0.4 * evidence.scale  # points above this height are on the lid
     edges = np.linspace(0.0, height, LEVELS + 1)
     centers = (edges[:-1] + edges[1:]) / 2
     radii = _fill(centers, _level_radii(r[side], z[side], edges), float(np.percentile(r, 95)))
@@ -109,7 +109,7 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
-    """Mark the points seen through the disk of ``radius`` [m] at the height of the rim, and clearly below it."""
+    """Return a mask of the points clearly below the rim that are seen through its disk of ``radius`` [m]."""
     below = evidence.top - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]
     share = np.clip(below / np.where(np.abs(fall) < 1e-9, 1e-9, fall), 0.0, 1.0)
@@ -120,7 +120,7 @@ def _seen_through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray
 
 
 def hollow_profile(evidence: Evidence, axis: Array) -> Array:
-    """Profile of an open container about ``axis``: cavity floor, inner wall, rim, outer wall, foot."""
+    """Return the profile of an open container about ``axis``: cavity floor, inner wall, rim, outer wall, and base."""
     r, z = _cylindrical(evidence, axis)
     height = max(evidence.top - evidence.base_z, 4 * FLOOR)
     near_rim = r[z > height - max(0.8 * evidence.scale, 0.08 * height)]
@@ -145,14 +145,14 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def _rim_axis(evidence: Evidence) -> tuple[Array, float]:
-    """A first axis for a container: the robust circle through the points near the top."""
+    """Return an initial axis and radius for a container, from a robust circle fit to the points near the top."""
     axis, radius = start_axis(evidence)
     band = max(0.8 * evidence.scale, 0.1 * (evidence.top - evidence.base_z))
     rim = evidence.points[evidence.points[:, 2] > evidence.top - band, :2]
     if len(rim) < 12:
         return axis, radius
     low, high = np.percentile(rim @ evidence.view, [2.0, 98.0])
-    if high - low < radius:  # the far side of the rim was not seen
+    if high - low < radius:  # the far side of the rim is not visible
         return axis, radius
     weight = np.ones(len(rim))
     for _ in range(8):

@@ -1,4 +1,4 @@
-"""Boxes, cylinders and spheres: the pose and size that explain the rays best."""
+"""Fit boxes, cylinders and spheres: find the pose and size that best explain the rays."""
 
 from __future__ import annotations
 
@@ -19,16 +19,20 @@ from simfoundry.capture.shapes.evidence import (
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
-SMALLEST = 0.004  # [m] least radius or extent: below the depth noise at half a meter
-DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
-_FACE_SHARE = 0.06  # of the points: with fewer, a face does not measure how far the box extends along it
-_WALK = (0.012, 0.006, 0.003, 0.0015, 0.0007)  # [m]
-_WORTH = 1e-5  # of cost, that a step must save
+SMALLEST = 0.004  # [m] minimum radius or extent, close to the depth noise at half a meter
+DEPTH_PRIOR = 0.35  # ratio of depth to width for a box with one visible face; 0.25 to 0.5 for cartons and bottles
+_FACE_SHARE = 0.06  # minimum fraction of the points on a face for it to measure the extent of the box along it
+_WALK = (0.012, 0.006, 0.003, 0.0015, 0.0007)  # [m] step sizes for moving faces
+_WORTH = 1e-5  # minimum cost reduction for accepting a step
 Solid = tuple[Cylinder | Sphere, Pose]
 
 
 def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
-    """Nelder-Mead from ``start`` with a first simplex of ``steps``: (cost, parameters). Deterministic."""
+    """Minimize ``cost`` with the Nelder-Mead method from ``start``, with an initial simplex given by ``steps``.
+
+    Returns:
+        The minimum cost and its parameters; the result is deterministic.
+    """
     from scipy.optimize import minimize
 
     simplex = np.vstack([start, start + np.diag(steps)])
@@ -38,7 +42,11 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
-    """First vertical axis: (xy [m], shape (2,), radius [m]), from the width across the view and the nearest points."""
+    """Return an initial vertical axis, from the width across the view and the nearest points.
+
+    Returns:
+        The position of the axis in xy [m], shape (2,), and the radius [m].
+    """
     view, across = evidence.view, evidence.across
     t, s = evidence.points[:, :2] @ across, evidence.points[:, :2] @ view
     low, high = np.percentile(t, [1.5, 98.5])
@@ -47,14 +55,14 @@ def start_axis(evidence: Evidence) -> tuple[Array, float]:
 
 
 def fit_cylinder(evidence: Evidence) -> FitCandidate:
-    """Fit the upright cylinder on ``base_z`` that explains the evidence best."""
+    """Fit the upright cylinder on ``base_z`` that best explains the evidence."""
     axis, radius = start_axis(evidence)
 
     def solid(x: Array) -> Solid:
         shape = Cylinder(float(max(x[2], SMALLEST)), float(max(x[3], SMALLEST)))
         return shape, Pose.of((x[0], x[1], evidence.base_z + shape.height / 2))
 
-    # Where another object hides one side, the width seen is too small and its middle off the axis.
+    # If another object hides one side, the visible width is too small and its middle is off the axis.
     sideways = [(1.0, 0.0), (1.3, -0.3), (1.3, 0.3), (1.3, 0.0), (1.7, -0.7), (1.7, 0.7)]
     starts = []
     for growth, shift in sideways:
@@ -65,7 +73,7 @@ def fit_cylinder(evidence: Evidence) -> FitCandidate:
 
 
 def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
-    """Fit the cylinder lying on ``base_z``, its axis horizontal, that explains the evidence best."""
+    """Fit the cylinder lying on ``base_z`` (with a horizontal axis) that best explains the evidence."""
 
     def solid(x: Array) -> Solid:
         shape = Cylinder(float(max(x[3], SMALLEST)), float(max(x[4], SMALLEST)))
@@ -74,7 +82,7 @@ def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
         return shape, Pose.of((x[0], x[1], evidence.base_z + shape.radius), along.q)
 
     radius = max((evidence.top - evidence.base_z) / 2, SMALLEST)
-    # The ridge of a lying cylinder is its highest line: it lies above the axis.
+    # The ridge of a lying cylinder is its highest line, which is right above the axis.
     ridge = evidence.points[evidence.points[:, 2] > evidence.top - 0.15 * radius]
     ridge = ridge if len(ridge) > 5 else evidence.points
     starts = []
@@ -88,7 +96,7 @@ def fit_lying_cylinder(evidence: Evidence) -> FitCandidate:
 
 
 def fit_sphere(evidence: Evidence) -> FitCandidate:
-    """Fit the sphere resting on ``base_z`` that explains the evidence best."""
+    """Fit the sphere resting on ``base_z`` that best explains the evidence."""
     axis, radius = start_axis(evidence)
 
     def solid(x: Array) -> Solid:
@@ -108,7 +116,7 @@ def _fit_round(
     steps: Array,
     evaluations: int,
 ) -> FitCandidate:
-    """Search the parameters of ``solid`` from the best of ``starts``."""
+    """Optimize the parameters of ``solid``, beginning at the best of ``starts``."""
 
     def judge(shape: Cylinder | Sphere, X_WO: Pose) -> RayAgreement:
         if isinstance(shape, Sphere):
@@ -142,7 +150,7 @@ def fit_box(evidence: Evidence) -> FitCandidate:
 
 
 def _box_around(evidence: Evidence, yaw: float) -> Array:
-    """Parameters (x, y, yaw, three extents) of the box around the points at one yaw."""
+    """Return the parameters (x, y, yaw, three extents) of the box around the points at a given yaw."""
     c, s = math.cos(yaw), math.sin(yaw)
     local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
     low, high = np.percentile(local, [1.0, 99.0], axis=0)
@@ -152,7 +160,7 @@ def _box_around(evidence: Evidence, yaw: float) -> Array:
 
 
 def _distinct(starts: list[Array], count: int = 2) -> list[Array]:
-    """The first starts whose yaws differ by more than 10 degrees (modulo a quarter turn)."""
+    """Return the first ``count`` starts whose yaws differ by more than 10 degrees (modulo a quarter turn)."""
     chosen: list[Array] = []
     for start in starts:
         turns = [abs((start[2] - other[2] + math.pi / 4) % (math.pi / 2) - math.pi / 4) for other in chosen]
@@ -162,7 +170,7 @@ def _distinct(starts: list[Array], count: int = 2) -> list[Array]:
 
 
 def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
-    """Full extents [m] and pose of parameters (x, y, yaw, three extents)."""
+    """Convert parameters (x, y, yaw, three extents) to full extents [m] and a pose."""
     size = np.maximum(x[3:6], SMALLEST)
     yaw = float(x[2])
     return frozen_array(size), Pose.of((x[0], x[1], base_z + size[2] / 2), (math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)))
@@ -173,10 +181,10 @@ def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
 
 
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
-    """Move one face or the yaw at a time for as long as that helps, in ever smaller steps.
+    """Move one face, or change the yaw, as long as the cost decreases, in progressively smaller steps.
 
-    Nelder-Mead stalls on the ledges that single pixels make, above all where a band of pixels without depth lies
-    between the object and what is behind it: there no small move of all parameters at once pays.
+    Nelder-Mead stalls at discontinuities caused by individual pixels, especially if a band of pixels without depth
+    separates the object from the background: in that case, no small change to all parameters reduces the cost.
     """
     for step in _WALK:
         moved = True
@@ -191,7 +199,7 @@ def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Arra
 
 
 def _moves(x: Array, step: float) -> Iterator[Array]:
-    """Boxes with one face moved by ``step`` [m] outward or inward, or turned so that a corner moves about as far."""
+    """Yield boxes with one face moved outward or inward by ``step`` [m], or rotated to move a corner about as far."""
     c, s = math.cos(x[2]), math.sin(x[2])
     for sign in (step, -step):
         for axis, direction in ((0, (c, s)), (1, (-s, c))):
@@ -207,16 +215,20 @@ def _moves(x: Array, step: float) -> Iterator[Array]:
 
 
 def _supply_depth(evidence: Evidence, x: Array) -> tuple[bool, Array]:
-    """Extend a box that shows only one upright face away from the camera by the prior, as far as free space allows.
+    """Extend a box with only one visible upright face away from the camera, based on the depth prior.
 
-    An extent is measured if enough points lie on a face along it; a box that faces the camera shows none for its depth.
+    The extension is limited by observed free space. An extent counts as measured if enough points are on a face along
+    it; a box that faces the camera has no such points for its depth.
+
+    Returns:
+        True if an extent was guessed, and the parameters of the box.
     """
     size, X_WO = _unpack(x, evidence.base_z)
     local = X_WO.inverse().apply(evidence.points)
     face = np.argmin(np.abs(np.abs(local) - size / 2), axis=1)
     for axis in (0, 1):
         across = 1 - axis
-        on_sides = float(np.mean(face != axis))  # the top and the other pair of faces measure this extent
+        on_sides = float(np.mean(face != axis))  # the top and the other pair of sides measure this extent
         if on_sides >= _FACE_SHARE or size[axis] > DEPTH_PRIOR * size[across]:
             continue
         wanted = DEPTH_PRIOR * min(size[across], max(size[2], 0.03))

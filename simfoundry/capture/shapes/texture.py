@@ -1,7 +1,7 @@
-"""Color of a captured object: one robust color, or a mesh whose texture is baked from the picture.
+"""Colors for captured objects: a single robust color, or a mesh with a texture baked from the image.
 
-The texture is baked in space: every texel knows the point of the surface that it colors, and that point is looked up
-in the picture. What the camera did not see is colored from the seen point that lies opposite.
+The texture is baked in 3D: every texel corresponds to a point on the surface, whose color is looked up in the image.
+Points that the camera did not see get the color of the visible point on the opposite side.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from simfoundry.geometry.ray_casts import area_normals, unit
 from simfoundry.geometry.shapes import Mesh, tessellate
 
 _LARGE, _SMALL = 512, 256
-_LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
-_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its color
-_NORMAL_WEIGHT = 0.03  # meters that a unit of normal counts when a seen point is looked for
-_LENDERS = 6000  # points that lend their color: bounds the search for the nearest
-_TOO_FAR = 0.3  # of the object's size: beyond it, the plain color is better than a stretched one
+_LARGE_FROM = 120**2  # [px] minimum visible area of an object that benefits from the larger texture
+_GRAZING = 0.2  # minimum cosine of the viewing angle at which a surface point has a reliable color
+_NORMAL_WEIGHT = 0.03  # [m] weight of a unit difference in normals when searching for the nearest visible point
+_LENDERS = 6000  # maximum number of points from which colors are copied; limits the nearest-neighbor search
+_TOO_FAR = 0.3  # as a fraction of the object's size; beyond this, a uniform color looks better than a stretched one
 
 
 @dataclass(frozen=True, eq=False)
 class _Texels:
-    """The texels that lie on the surface: ``row`` and ``col``, points [m] and normals in the object frame, (n, 3)."""
+    """The texels on the surface: ``row`` and ``col``, and points [m] and normals in the object frame, shape (n, 3)."""
 
     row: NDArray[np.intp]
     col: NDArray[np.intp]
@@ -37,9 +37,10 @@ class _Texels:
 
 
 def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """Robust mean color of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
+    """Return the robust mean color of the pixels under ``mask`` (bool, shape (h, w)), as sRGB in [0, 1].
 
-    Left out are the rim of the mask, where colors mix, and the darkest tenth and lightest fifth: shadows, highlights.
+    The rim of the mask is excluded because colors mix there, as are the darkest 10 % (shadows) and the lightest 20 %
+    (highlights).
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -52,13 +53,13 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
 
 
 def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> Mesh:
-    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
+    """Return the mesh of a fitted shape in its object frame, textured with a PNG from the image (texture v points up).
 
-    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors from outside it never enter. Raises ``ValueError``
-    if the mask is empty.
+    ``mask`` (bool, shape (h, w)) marks the object's pixels; colors outside the mask are never used. Raises
+    ``ValueError`` if the mask is empty.
     """
     if not mask.any():
-        raise ValueError("an empty mask has no colors to make a texture from")
+        raise ValueError("cannot create a texture from an empty mask")
     mesh = tessellate(shape.geometry)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
@@ -71,7 +72,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
 
 
 def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
-    """Find the texels inside each face, and the point and normal of the surface at each."""
+    """Find the texels inside each face, and the surface point and normal at each texel."""
     normals = face_normals(vertices, faces)
     point_map = np.full((atlas.size, atlas.size, 3), np.nan)
     normal_map = np.zeros((atlas.size, atlas.size, 3))
@@ -84,8 +85,8 @@ def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
         x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
         weights = np.linalg.solve(edges, np.stack([x.ravel() - corners[0, 0], y.ravel() - corners[0, 1]]))
         weights = np.vstack([1.0 - weights.sum(axis=0), weights])
-        # A weight times the height over its edge is a distance [texels]. A texel whose center just misses the face
-        # belongs to it all the same, or seams would show.
+        # A barycentric weight multiplied by the height over its edge is a distance [texels]. A texel whose center
+        # narrowly misses the face still belongs to it; otherwise, seams would be visible.
         sides = np.linalg.norm(corners[[1, 2, 0]] - corners[[2, 0, 1]], axis=1)
         heights = abs(np.linalg.det(edges)) / np.maximum(sides, 1e-9)
         near = (weights * heights[:, None]).min(axis=0) > -0.75
@@ -100,10 +101,10 @@ def _rasterize(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The picture as the texture needs it, and how a point of the object comes into it.
+    """The image prepared for texturing, and the projection of object points into it.
 
-    ``colors`` float32, shape (h, w, 3), free of foreign colors; ``core`` bool, shape (h, w), the object's pixels
-    without their mixed rim.
+    ``colors`` is float32, shape (h, w, 3), and contains only colors of the object. ``core`` is bool, shape (h, w), and
+    marks the object's pixels without the rim, where colors mix.
     """
 
     shape: FittedShape
@@ -119,7 +120,7 @@ class _View:
         return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
 
     def look(self, points: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Colors, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
+        """Return the colors of points in the object frame, shape (n, 3) in [0, 255], and a mask of visible points."""
         from scipy import ndimage
 
         p_W = self.shape.X_WO.apply(points)
@@ -133,7 +134,7 @@ class _View:
         col, row = np.clip(np.round(u), 0, w - 1).astype(int), np.clip(np.round(v), 0, h - 1).astype(int)
         gap = self.frame.depth[row, col] - z
         in_picture = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1) & (p_C[:, 2] > 0)
-        same_surface = ~(np.abs(gap) > 2.0 * depth_scale(float(np.median(z))))  # no depth is no objection
+        same_surface = ~(np.abs(gap) > 2.0 * depth_scale(float(np.median(z))))  # missing depth is accepted
         where = np.stack([v, u])
         colors = [ndimage.map_coordinates(self.colors[..., k], where, order=1, mode="nearest") for k in range(3)]
         seen = in_picture & self.core[row, col] & (cosine > _GRAZING) & same_surface
@@ -141,11 +142,15 @@ class _View:
 
 
 def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
-    """Colors of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
+    """Return the colors of all texels, shape (n, 3).
+
+    A texel that was not visible gets the color of the opposite point if that was visible, otherwise the color of the
+    nearest visible point, or ``plain`` if that point is too far away.
+    """
     points, normals = texels.points, texels.normals
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     colors, done = np.tile(plain, (len(points), 1)), np.zeros(len(points), dtype=bool)
-    # A half turn keeps writing readable, so it goes before the mirror images.
+    # Try the half turn before the mirror images because it keeps text readable.
     for flip in ((1, 1, 1), (-1, -1, 1), (-1, 1, 1), (1, -1, 1)):
         todo = np.nonzero(~done)[0]
         if len(todo) == 0:
@@ -159,7 +164,7 @@ def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
 
 
 def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
-    """Fill the colors not ``done`` from the nearest that are, in place; those with none near keep what they have."""
+    """Fill in, in place, each color that is not ``done`` from the nearest one that is; colors too far away are kept."""
     from scipy.spatial import cKDTree
 
     lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
@@ -171,7 +176,7 @@ def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
-    """The texture: texels off the surface take the nearest color on it, so that filtering meets no foreign one."""
+    """Return the texture; texels off the surface get the nearest color on it, so that filtering blends no black in."""
     picture = np.zeros((size, size, 3), dtype=np.float32)
     on_surface = np.zeros((size, size), dtype=bool)
     picture[texels.row, texels.col] = colors
@@ -180,7 +185,7 @@ def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
 
 
 def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Give every pixel that is not ``known`` the color of the nearest one that is."""
+    """Fill each pixel that is not ``known`` with the color of the nearest known pixel."""
     from scipy import ndimage
 
     index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -194,7 +199,7 @@ def _eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
 
 
 def encode_png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode an RGB picture as PNG; equal pictures give equal bytes."""
+    """Encode an RGB image as PNG; equal images give equal bytes."""
     import cv2
 
     _, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
@@ -207,10 +212,11 @@ _DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1],
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """An unwrapped mesh: vertices are repeated where charts meet.
+    """An unwrapped mesh, whose vertices are duplicated along the borders between charts.
 
-    ``source`` the vertex of the original mesh, shape (n,); ``faces`` into the new vertices, shape (m, 3), in the order
-    of the original faces; ``texel`` positions in the texture [texels, x right, y down], shape (n, 2).
+    ``source`` is the index of each vertex in the original mesh, shape (n,). ``faces`` index the new vertices, shape
+    (m, 3), in the order of the original faces. ``texel`` are positions in the texture [texels, x right, y down], shape
+    (n, 2).
     """
 
     source: NDArray[np.intp]
@@ -237,7 +243,7 @@ def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
         axis = int(facing[chosen[0]]) // 2
         plane = np.delete(vertices[used], axis, axis=1)
         if axis != 2:
-            plane = plane * [1.0, -1.0]  # upright in the texture: z up is y up
+            plane = plane * [1.0, -1.0]  # keep the texture upright: z up maps to y up
         new_faces[chosen] = local.reshape(-1, 3) + offset
         offset += len(used)
         source_parts.append(used)
@@ -249,12 +255,12 @@ def unwrap(vertices: Array, faces: NDArray[np.int32], size: int) -> Atlas:
 
 
 def face_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Unit normals, shape (m, 3)."""
+    """Return the unit normals of faces, shape (m, 3)."""
     return unit(area_normals(vertices[faces]))
 
 
 def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Pairs of faces that share an edge, shape (k, 2)."""
+    """Return the pairs of faces that share an edge, shape (k, 2)."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
     order = np.lexsort((owner, edges[:, 1], edges[:, 0]))
@@ -264,7 +270,7 @@ def _neighbors(faces: NDArray[np.int32]) -> NDArray[np.intp]:
 
 
 def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
-    """The direction each face belongs to; a lone face among others joins them, so that charts stay few."""
+    """Return the direction of each face; an isolated face joins its neighbors, to keep the number of charts low."""
     dots = face_normals(vertices, faces) @ _DIRECTIONS.T
     facing = np.argmax(dots + np.arange(6) * 1e-9, axis=1)
     pairs = _neighbors(faces)
@@ -279,7 +285,7 @@ def _facing(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.intp]:
 
 
 def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Number the connected patches of faces with one direction."""
+    """Number the connected patches of faces that have the same direction."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -290,19 +296,19 @@ def _charts(faces: NDArray[np.int32], facing: NDArray[np.intp]) -> NDArray[np.in
 
 
 def _pack(extents: Array, size: int) -> tuple[Array, float]:
-    """Corners [texels] and the largest common scale [texels/m] at which all rectangles fit the texture."""
+    """Pack rectangles into the texture, and return their corners [texels] and the largest possible scale [texels/m]."""
     low, high = 0.0, size / max(float(extents.max()), 1e-9)
     for _ in range(24):
         middle = (low + high) / 2
         low, high = (middle, high) if _shelves(extents * middle, size) is not None else (low, middle)
     corners = _shelves(extents * low, size)
-    if corners is None:  # more charts than gutters leave room for: let them share one spot
+    if corners is None:  # too many charts for the gutters; let them overlap at one position
         return np.full((len(extents), 2), _GUTTER), 0.0
     return corners, low
 
 
 def _shelves(extents: Array, size: int) -> Array | None:
-    """Corners of rectangles set on shelves, tallest first, or None if they do not fit."""
+    """Return the corners of rectangles placed on shelves, tallest first, or None if they do not fit."""
     corners = np.zeros_like(extents)
     x = y = _GUTTER
     shelf = 0.0

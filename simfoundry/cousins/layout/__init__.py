@@ -1,1 +1,1 @@
-"""Layouts of a twin: placement constraints, pose sampling, settling and acceptance."""
+"""Scene layouts for cousins: placement constraints, pose sampling, settling and acceptance."""

@@ -1,4 +1,4 @@
-"""Acceptance of a layout: settle it, then check its relations, visibility and reachability."""
+"""Accept or reject layouts: settle them, then check their relations, visibility and reachability."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ PENETRATION = 0.001
 """Maximum penetration depth at rest [m]."""
 
 DRIFT, TILT_DEG = 0.01, 5.0
-"""Maximum displacement [m] and tilt [deg] while settling, except for objects dropped onto or into the anchor."""
+"""Maximum displacement [m] and tilt [deg] during settling, except for objects dropped onto or into the anchor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """The result of examining a layout: the reasons for rejection (none if it is accepted), the poses X_WO of the
-    objects it moved, and the state of all objects.
+    """The result of examining a layout.
 
-    ``unchecked`` lists the checks that could not be made.
+    Attributes:
+        accepted: True if the layout was accepted.
+        reasons: Reasons for rejection; empty if the layout was accepted.
+        poses: Settled poses X_WO of the objects that the layout moved.
+        state: Settled state of all objects.
+        unchecked: Checks that could not be performed.
     """
 
     accepted: bool
@@ -43,7 +47,7 @@ class Examined:
 
 
 def examine(twin: Twin, layout: Layout) -> Examined:
-    """Settle a layout and check it, cheap checks first; if physics fails, no further check runs."""
+    """Settle a layout and check it; the more expensive checks are skipped as soon as a cheaper one fails."""
     absent = twin.absent - set(layout.poses)
     settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
     reasons = list(_at_rest(layout, settled))
@@ -59,7 +63,7 @@ def examine(twin: Twin, layout: Layout) -> Examined:
 
 def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
     for name in settled.restless:
-        yield Reason("restless", f"`{name}` does not come to rest in {MOST_S:g} s")
+        yield Reason("restless", f"`{name}` does not come to rest within {MOST_S:g} s")
     if settled.deepest > PENETRATION:
         a, b = settled.between
         text = f"`{a}` and `{b}` overlap by {1000 * settled.deepest:.1f} mm at rest"
@@ -73,7 +77,7 @@ def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
 
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
-    """Yield a reason if a requested or preserved relation does not hold, or if the goal is already true."""
+    """Yield a reason for each required relation that does not hold, and a reason if the goal is already true."""
     batch = StateBatch.of(twin.scene, [state])
     for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
@@ -84,16 +88,16 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
         if not verdict.value:
             yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", {"margin": verdict.margin})
     if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
-        yield Reason("goal_true", f"the goal is true already: {goal.why}", {"margin": goal.margin})
+        yield Reason("goal_true", f"the goal is already true: {goal.why}", {"margin": goal.margin})
 
 
 def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
-    """Return all conditions if any of them is false, else an empty tuple (the common case)."""
+    """Return all conditions if at least one is false, else an empty tuple, which is the common case."""
     return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
 
 
 def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
-    """Return the verdict on a condition that is true, or None as soon as one of its parts is false."""
+    """Return the verdict on a condition if it is true, else None; stop at the first part that is false."""
     tag, below = parts(condition)
     for one in below if tag == "all" else (condition,):
         if not twin.judge.batch(one, batch)[0][0]:
@@ -102,8 +106,10 @@ def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
-    """Relations of the twin that must be preserved: those without a moved object, and those between a rider and its
-    support.
+    """Return the twin's relations that must still hold after the ``moved`` objects are moved.
+
+    These are the relations without moved objects, those between a rider and its support, and those about an object's
+    own joints or orientation.
     """
     gone = set(moved)
     found = []
@@ -118,7 +124,10 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """Yield a reason for each task object or moved object (distractors excepted) that no camera sees well enough."""
+    """Yield a reason for each task object that no camera sees well enough.
+
+    Without a task, the moved objects other than distractors are checked instead.
+    """
     cameras = twin.scene.cameras
     if not cameras:
         unchecked.append("view: the scene has no static camera")
@@ -128,7 +137,7 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
         least = min(SEEN, twin.shares_seen.get(name, SEEN))
         camera, share = best_view(cameras, name, surfaces, least)
         if share < least:
-            text = f"only {share:.0%} of `{name}` is visible to `{camera}`, its best view; {least:.0%} is required"
+            text = f"only {share:.0%} of `{name}` is visible from the best camera, `{camera}`; {least:.0%} is required"
             yield Reason("out_of_view", text, {"share": share})
 
 
@@ -145,35 +154,39 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
             continue
         result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
-            text = f"no arm can get down to `{name}` from above: it is {result.away:.2f} m from the base of "
+            text = f"no arm can reach `{name}` from above: it is {result.away:.2f} m from the base of "
             text += f"`{result.robot}`"
             yield Reason("out_of_reach", text, {"away_m": result.away})
 
 
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
-"""Minimum settling time, step between rest checks, and maximum settling time [s].
+"""Minimum settling time, interval between rest checks, and maximum settling time [s].
 
-Settling ends before the minimum only if the engine has put all bodies to sleep, so that nothing can move again.
+Settling ends before the minimum time only if the engine has put all bodies to sleep and nothing can move again.
 """
 
 SLEEP = 5e-4
-"""Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below it; an awake body creeps by hundredths of a
-mm.
+"""Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
+hundredths of a millimeter.
 """
 
 CALM_S = 2.0
-"""Time [s] at which only balls still roll: their velocity is then set to zero, and the remaining time shows whether a
-hollow holds them.
+"""Time [s] at which velocities are set to zero if only balls are still moving; the remaining time shows whether they
+rest in a hollow.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class SettledLayout:
-    """The settled ``state``, rounded, and the displacement ``moved`` [m] and rotation ``tilted`` [deg] of each free
-    object.
+    """The result of settling a layout.
 
-    ``restless`` objects never came to rest; ``deepest`` [m] is the largest final penetration, between the two named
-    objects.
+    Attributes:
+        state: Final state, rounded to the precision of documents.
+        moved: Displacement of each free object [m].
+        tilted: Tilt of each free object [deg]; 0 for balls.
+        restless: Names of the objects that did not come to rest.
+        deepest: Largest final penetration depth [m].
+        between: Names of the two objects with the largest penetration.
     """
 
     state: SceneState
@@ -185,8 +198,9 @@ class SettledLayout:
 
 
 def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
-    """Simulate a state until it comes to rest. The world's model is reused unchanged; ``absent`` objects are
-    ignored.
+    """Simulate a state until it comes to rest or the maximum settling time is reached.
+
+    The world's model is reused; ``absent`` objects are ignored.
     """
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
@@ -197,7 +211,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
     def watch(elapsed: float, moving: set[str]) -> bool:
         nonlocal calmed
         if moving and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in moving):
-            world.halt()  # an object that stays in place from here on lies in a hollow
+            world.halt()  # a ball that stays in place from now on is in a hollow
             calmed = world.state()
         return _is_asleep(world) or bool(world.trouble())
 
@@ -222,7 +236,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
 
 
 def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
-    """Return the state with the absent objects moved far away from the scene and from each other."""
+    """Return the state with absent objects moved far away from the scene and from each other."""
     if not absent:
         return state
     away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
@@ -230,8 +244,9 @@ def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneSt
 
 
 def _let_sleep(world: MujocoWorld) -> None:
-    """Enable sleeping, so that bodies at rest cost nothing; MuJoCo wakes them on contact. Not available before MuJoCo
-    3.4.
+    """Enable sleeping if available, so that bodies at rest are not simulated until MuJoCo wakes them on contact.
+
+    Sleeping requires MuJoCo 3.4.
     """
     import mujoco
 
@@ -242,5 +257,5 @@ def _let_sleep(world: MujocoWorld) -> None:
 
 
 def _is_asleep(world: MujocoWorld) -> bool:
-    """Return whether every body that could move is asleep."""
+    """Return whether all movable bodies are asleep."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0

@@ -1,9 +1,9 @@
-"""The objects already standing in a scene, and the joint placement of several more among them.
+"""Keep track of the objects standing in a scene, and place further objects among them, individually or in batches.
 
-Joint placement gives each object the first of its own candidate poses that is clear of all objects before it, exactly
-as if each were placed in turn by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates
-of all objects are drawn and tested against each other in one batch; only an object without a free candidate in the
-batch is searched for on its own.
+In a batch, each object gets the first of its candidate poses that is clear of all previous objects, just as if each
+were placed in turn by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per object
+are drawn and tested against each other together. An individual search is needed only for an object without a free
+candidate in the batch.
 """
 
 from __future__ import annotations
@@ -31,20 +31,21 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.place import CLEARANCE
 
 GAP = 0.002
-"""Clearance between objects that are not meant to touch [m], equal to the contact margin of engines."""
+"""Clearance between objects that should not touch [m]; equal to the contact margin of the engines."""
 
 EACH = 4
 """Number of candidates per object in a batch."""
 
 TOGETHER = 24
-"""Number of objects in a batch, small enough for the pairwise tables to fit in the processor's cache."""
+"""Maximum number of objects in a batch, small enough for the pairwise tables to fit in the processor cache."""
 
 Spot = tuple[float, float, float]
 
 
 class _Block:
-    """Candidates of several objects, :data:`EACH` per object, and their overlaps with each other and with standing
-    objects.
+    """A batch of candidate placements, :data:`EACH` per object.
+
+    The block also records which candidates overlap each other or objects that are already standing.
     """
 
     def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator) -> None:
@@ -98,7 +99,7 @@ class _Block:
             self._doubts.setdefault(c, []).append(entry)
 
     def first_clear(self, t: int, clear: Clear) -> Spot | None:
-        """Return the first candidate of an object that is clear of all standing objects, or None."""
+        """Return the first candidate of object ``t`` that is clear of all standing objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
             if not self._dead[c] and (not doubts or clear(*self._spots[c], doubts)):
@@ -107,7 +108,10 @@ class _Block:
         return None
 
     def entered(self, t: int, entries: range, chosen: bool) -> None:
-        """Record that an object now stands, as the given entries: at its chosen candidate or elsewhere."""
+        """Record that object ``t`` has been placed and occupies the given entries.
+
+        ``chosen`` is true if it was placed at its chosen candidate, and false if it was placed elsewhere.
+        """
         if not chosen:
             self._meet_entries(entries)
             return
@@ -117,7 +121,7 @@ class _Block:
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
-    """Corners of the shadows, padded to equal length by repeating the last corner, shape (n, 2, m)."""
+    """Return the corners of the shadows [m], shape (n, 2, m), padded to equal length by repeating the last corner."""
     out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
     for row, outline in zip(out, outlines, strict=True):
         count = outline.spread.shape[1]
@@ -127,13 +131,17 @@ def _spreads(outlines: Sequence[Outline]) -> Array:
 
 
 def _each(values: Sequence[complex]) -> Complex:
-    """Repeat one value per object for each of its candidates."""
+    """Repeat each object's value for all of its candidates."""
     return np.repeat(np.array(values, dtype=np.complex128), EACH)
 
 
 @dataclass(frozen=True, eq=False)
 class Placeable:
-    """An object to be placed, with its riders, its orientation before the rotation about z, and its shadow."""
+    """An object to be placed.
+
+    ``riders`` move along with it, ``upright`` is its orientation before the rotation about z, and ``outline`` is the
+    shadow of the object and its riders.
+    """
 
     name: str
     riders: tuple[str, ...]
@@ -143,7 +151,7 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return an object that is to stand on ``on``, with all its riders except those in ``staying``."""
+        """Return the object ``name`` to be placed on ``on``, with all of its riders except those in ``staying``."""
         riders = twin.riders(name)
         if riders:
             riders = tuple(n for n in riders if n not in set(staying))
@@ -154,31 +162,36 @@ class Placeable:
         return twin.placeables[key]
 
     def height(self, support: Support) -> float:
-        """Height [m] of the object's frame when it stands on a support."""
+        """Return the height [m] of the object's frame when it stands on a support."""
         return support.height - self.outline.low + CLEARANCE
 
     def anywhere(self, support: Support) -> Region:
-        """The region that covers a whole support, with any yaw."""
+        """Return the region that covers an entire support, with any yaw."""
         key = (support.name, support.height)
         if key not in self._regions:
             self._regions[key] = Region(*support.bounds, (-math.pi, math.pi), support, self.height(support))
         return self._regions[key]
 
     def pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
-        """Pose of the object's frame at x, y, z [m] after a rotation by ``yaw`` [rad]."""
+        """Return the pose of the object when its frame is at x, y, z [m] and it is rotated by ``yaw`` [rad] about z."""
         w, qx, qy, qz = self.upright.q.tolist()
         c, s = math.cos(yaw / 2), math.sin(yaw / 2)
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
 class Arrangement:
-    """All standing objects while others are placed among them. A twin has one at a time, because it poses the twin's
-    solids.
+    """All standing objects in a scene, among which further objects are placed.
+
+    An arrangement poses the twin's solids, so only one arrangement per twin can be in use at a time.
     """
 
     def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
-        """Start from ``poses`` that differ from the twin's; objects in ``moving``, and their riders, are not placed
-        yet.
+        """Create an arrangement without the objects that have not been placed yet.
+
+        Args:
+            twin: The twin.
+            poses: Poses X_WO of objects that differ from the twin's.
+            moving: Names of objects that have not been placed yet, and whose riders have not been placed either.
         """
         self.twin, self.tries = twin, 0
         self.poses = dict(twin.state.poses) | dict(poses)
@@ -203,7 +216,7 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Exclude the support itself if nothing protrudes above its level, because objects placed there stand on it."""
+        """Ignore the support in overlap tests if nothing protrudes above its level, because placed objects touch it."""
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -214,8 +227,14 @@ class Arrangement:
         allowed: Allowed | None = None,
         also: Callable[[], bool] | None = None,
     ) -> Found:
-        """Find a free place for an object; ``also`` is a further test, called with the object posed among the
-        solids.
+        """Find a free placement for an object.
+
+        Args:
+            thing: The object.
+            region: Region from which placements are drawn.
+            rng: Random generator.
+            allowed: Additional test of many candidates at once.
+            also: Additional test that is called after the object has been posed among the twin's solids.
         """
         self._stand_on(region.support)
 
@@ -231,8 +250,10 @@ class Arrangement:
     def put_all(
         self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
     ) -> tuple[Placeable, Found] | None:
-        """Place objects anywhere on a support, one after another; return the first that finds no place and its search
-        result.
+        """Place objects anywhere on a support, one after another.
+
+        Returns:
+            None if all objects were placed; otherwise the first object that could not be placed and its search result.
         """
         self._stand_on(support)
         self.tries += EACH * len(things)
@@ -252,14 +273,14 @@ class Arrangement:
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-        """Return whether an object at a place is clear of the entries whose rectangles it meets."""
+        """Return whether an object at a candidate placement is clear of the entries ``met`` by its rectangle."""
         self.pose(thing, thing.pose(x, y, region.z, yaw))
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return whether an object or one of its riders is closer to one of the others than the clearance.
+        """Return whether an object or one of its riders violates the clearance to at least one of the ``others``.
 
-        Contact with its support is allowed.
+        Contact with the object named ``on`` is allowed, but overlap is not.
         """
         solids = self.twin.solids
         return any(
@@ -269,7 +290,7 @@ class Arrangement:
         )
 
     def pose(self, thing: Placeable, X_WO: Pose) -> dict[str, Pose]:
-        """Pose an object and its riders among the solids."""
+        """Pose an object and its riders among the twin's solids, and return their poses X_WO."""
         poses = {thing.name: X_WO}
         if thing.riders:
             before = self.twin.state.poses
@@ -280,10 +301,17 @@ class Arrangement:
         return poses
 
     def put(self, thing: Placeable, z: float, spot: Spot, dropped: bool = False) -> None:
-        """Place an object with its frame at x, y [m] and rotated about z [rad]."""
+        """Place an object and its riders.
+
+        Args:
+            thing: The object.
+            z: Height of its frame [m].
+            spot: x and y [m] of its frame, and its rotation about z [rad].
+            dropped: True if the object may move while it comes to rest.
+        """
         x, y, yaw = spot
         poses = self.pose(thing, thing.pose(x, y, z, yaw))
-        for name in poses:  # the joint shadow stands for each of them; if it is met, each is tested
+        for name in poses:  # all of them share the combined shadow; if it overlaps, each is tested
             self.there.add(name, thing.outline, x, y, z, yaw)
         self.solid += poses
         self.moved |= poses

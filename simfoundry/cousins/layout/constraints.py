@@ -1,4 +1,4 @@
-"""Placement constraints of a recipe, and the detection of impossible ones before any sampling."""
+"""Resolve a recipe's placement constraints, and detect impossible ones before any sampling."""
 
 from __future__ import annotations
 
@@ -28,15 +28,20 @@ from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.predicate import parse_call, texts
 
 DOUBTED = 2
-"""Factor on the number of drops before an object that can only partly fit is rejected. A pose that succeeds once in
-fifty drops is missed for 8 of 100 requests, and rarer ones are useless to a recipe.
+"""Multiple of :data:`DROPS` to try before rejecting an object that can only partly fit. If one in fifty drops succeeds,
+8 of 100 requests are wrongly rejected; lower success rates are useless to a recipe.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementConstraints:
-    """A resolved scene axis: the anchor, the support on which objects stand around it, the ``order`` of placement, and
-    the ``sets`` of predicates that each object may have at once.
+    """A resolved scene axis.
+
+    Attributes:
+        anchor: Name of the anchor.
+        support: Level surface on which objects are placed around the anchor, or None if all objects are on or in it.
+        order: Names of the objects in placement order.
+        sets: For each object, the sets of predicates that can hold simultaneously.
     """
 
     anchor: str
@@ -46,9 +51,10 @@ class PlacementConstraints:
 
 
 def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
-    """Resolve an axis; raises :class:`ImpossibleError` with every reason that is certain.
+    """Resolve a scene axis; the result is cached in the twin.
 
-    The result is cached on the twin.
+    Raises:
+        ImpossibleError: The axis can never be satisfied; the error contains all reasons.
     """
     key = axis.model_dump_json()
     if key not in twin.constraints:
@@ -60,7 +66,10 @@ def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
 
 
 def anchor_of(twin: Twin, axis: SceneAxis) -> str:
-    """Return the given anchor, or the object that the goal is about and that does not move; empty if there is none."""
+    """Return the name of the anchor, or an empty string if there is none.
+
+    If the axis does not specify an anchor, it is the first object in the goal that the axis does not move.
+    """
     if axis.anchor is not None:
         return axis.anchor
     about: list[str] = []
@@ -80,14 +89,14 @@ def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError
     beside = any(word in SIDES for words in axis.objects.values() for word in words)
     support = _support(twin, anchor, axis) if beside else None
     if beside and support is None:
-        text = f"`{anchor}` has no level support on which objects could stand beside it; it rests on "
+        text = f"objects cannot be placed beside `{anchor}`, because it does not rest on a level surface; it rests on "
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
         return ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
         several = min(axis.relations_per_object, len(set(words)))
         if len(sets[name][0]) < several:
             listed = ", ".join(dict.fromkeys(words))
-            text = f"no {several} of {listed} can hold for `{name}` at once, as `relations_per_object` asks"
+            text = f"no {several} of {listed} can hold for `{name}` at once, as required by `relations_per_object`"
             reasons.append(Reason("contradiction", text, {"together": several}))
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
@@ -105,29 +114,30 @@ def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
     names = {o.name for o in twin.scene.objects}
 
     def hint(name: str) -> str:
-        return nearest(name, names) or f"there are {', '.join(sorted(names))}"
+        return nearest(name, names) or f"available objects: {', '.join(sorted(names))}"
 
     anchor = anchor_of(twin, axis)
     if not anchor:
-        yield Reason("no_anchor", "there is no anchor: no goal says what the task is about; name one as `anchor`")
+        yield Reason("no_anchor", "there is no anchor, and none can be derived from a task's goal; specify `anchor`")
     elif anchor not in names:
         yield Reason("no_anchor", f"the anchor `{anchor}` does not exist; {hint(anchor)}")
     for name, words in axis.objects.items():
         if name not in names:
             yield Reason("no_object", f"`{name}` does not exist; {hint(name)}")
         elif name == anchor:
-            yield Reason("is_anchor", f"`{name}` is the anchor, which stays; it cannot move as well")
+            yield Reason("is_anchor", f"`{name}` is the anchor, so it cannot move")
         elif twin.scene.object(name).fixed:
             yield Reason("fixed", f"`{name}` is fixed to the world, so it cannot move")
         elif anchor in twin.riders(name):
             yield Reason("carries_anchor", f"`{name}` supports the anchor `{anchor}`, so it cannot move around it")
         elif not words:
-            yield Reason("no_predicate", f"`{name}` has no allowed predicate toward `{anchor}`")
+            yield Reason("no_predicate", f"no predicates between `{name}` and `{anchor}` are listed")
 
 
 def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
-    """Support on which objects stand around an anchor: the level below it; for a fixed anchor, the level of the
-    objects.
+    """Return the level surface on which objects stand around an anchor, or None if there is none.
+
+    This is the surface that the anchor stands on or, for a fixed anchor, the surface that the objects stand on.
     """
     low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
     seen = [anchor]
@@ -147,7 +157,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
 
 
 def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, name: str, word: str) -> Iterator[Reason]:
-    """Yield the reasons why a predicate can never hold between an object and the anchor."""
+    """Yield the reasons why a predicate between an object and the anchor can never hold."""
     if word in DROPPED:
         try:
             twin.judge(f"{word}({name}, {anchor})", twin.state)
@@ -169,8 +179,8 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
         needed = max((high - low) / 2, wide / 2) + wide / 2
         if end - (low + high) / 2 < needed:
             text = (
-                f"nothing as large as `{name}` can be {SIDES[word]} `{anchor}`: `{support.name}` ends "
-                f"{max(0.0, end - high):.3f} m beyond it there, and `{name}` is {wide:.3f} m wide"
+                f"`{name}` cannot be {SIDES[word]} `{anchor}`, because `{support.name}` extends only "
+                f"{max(0.0, end - high):.3f} m beyond the anchor on that side, and `{name}` is {wide:.3f} m wide"
             )
             numbers = {"strip_deep_m": max(0.0, end - high), "width_m": wide}
             yield Reason("no_room", text, numbers)
@@ -179,17 +189,27 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
     if axis.gap[0] > farthest:
         where = f"on `{support.name}`" + ("" if side is None else f" {SIDES[word]} `{anchor}`")
         text = (
-            f"no place {where} is {axis.gap[0]:g} m from `{anchor}`, as the least gap asks: `{name}` finds room for "
-            f"{max(0.0, farthest):.3f} m at most"
+            f"`{name}` cannot be placed {where} with the minimum gap of {axis.gap[0]:g} m from `{anchor}`: the largest "
+            f"possible gap is {max(0.0, farthest):.3f} m"
         )
         yield Reason("gap", text, {"gap_m": axis.gap[0], "farthest_m": farthest})
 
 
 def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) -> float:
-    """Largest gap [m] to the anchor at which an object of width ``wide`` [m] fits on a support, on one side or on any.
+    """Return an upper bound of the gap [m] to the anchor at which an object fits on a support.
 
-    The object's center must be half its width inside the edge of the support and, if a side is requested, beyond the
-    edge of the anchor; the gap is at least that much smaller than the distance of its center.
+    The object's center must be at least half its width inside the edge of the support and, if a side is requested,
+    beyond the edge of the anchor on that side. The gap is smaller than the distance of the center from the anchor by at
+    least half the width.
+
+    Args:
+        support: The support.
+        anchor: Convex parts of the anchor.
+        side: Unit vector of the requested side, or None if any side is allowed.
+        wide: Width of the object [m].
+
+    Returns:
+        The gap [m], or -1 if the object does not fit.
     """
     import shapely
 
@@ -209,7 +229,7 @@ def _farthest(support: Support, anchor: Hulls, side: Array | None, wide: float) 
 
 
 def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[Reason]:
-    """Yield a reason if most of an object is outside the cavity in every orientation."""
+    """Yield a reason if too little of an object fits into the anchor's cavity in any orientation."""
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]
     forms = [form for form in bodies[name].forms if form is not None]
@@ -220,17 +240,17 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     size = " x ".join(f"{100 * v:.1f}" for v in np.sort(twin.shape(name).size())[::-1])
     room = " x ".join(f"{100 * v:.1f}" for v in np.sort(max(boxes, key=np.prod))[::-1])
     text = f"`{name}` ({size} cm) cannot be inside `{anchor}`, whose cavity is {room} cm: {ENCLOSED:.0%} of it must be"
-    text += ", and "
+    text += " inside, but "
     if share <= SURE:
-        text += f"{share:.0%} would be at most, however it is turned"
+        text += f"at most {share:.0%} fits in any orientation"
     else:
-        text += f"in {DOUBTED * DROPS} drops, in all orientations, it never was"
+        text += f"none of {DOUBTED * DROPS} drops in different orientations achieved this"
     yield Reason("too_large", text, {"share": share})
 
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
-    """Return whether an object that does not fit completely comes to rest in the cavity in one of many drops."""
-    rng = np.random.default_rng(0)  # the answer belongs to the request, not to a candidate
+    """Return whether at least one of many drops places an object that does not fit completely inside the anchor."""
+    rng = np.random.default_rng(0)  # the result must depend on the request only, not on a candidate
     for _ in range(DOUBTED):
         table = Arrangement(twin, {}, (name,))
         if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
@@ -245,19 +265,19 @@ SIDES = {
     "Behind": "behind",
     "NextTo": "next to",
 }
-"""Predicates between objects that stand on one support, as phrases."""
+"""Predicates for objects that stand beside the anchor on the same support, as phrases."""
 
 DROPPED = {"OnTop": "on", "Inside": "inside"}
-"""Predicates of objects that the anchor supports."""
+"""Predicates for objects that are supported by the anchor, as phrases."""
 
 AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
 
 def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...]:
-    """Largest sets of predicates that can hold at once, with up to ``together`` members, such that each predicate is in
-    one.
+    """Return sets of up to ``together`` predicates that can hold at once, such that every predicate is in a set.
 
-    A predicate that fits into no set of that size is put into the largest set that it fits into.
+    The sets are as large as possible: a predicate that does not fit into any set of the maximum size is in the largest
+    sets that it does fit into.
     """
     words = tuple(dict.fromkeys(allowed))
     found: list[tuple[str, ...]] = []
@@ -270,7 +290,7 @@ def sets_of(allowed: Sequence[str], together: int) -> tuple[tuple[str, ...], ...
 
 
 def compatible(words: Iterable[str]) -> bool:
-    """Return whether predicates of the same two objects can hold at once."""
+    """Return whether predicates between the same two objects can hold at once."""
     some = set(words)
     if any(pair <= some for pair in AGAINST):
         return False
@@ -278,7 +298,7 @@ def compatible(words: Iterable[str]) -> bool:
 
 
 def side_axis(viewer: Pose | None, word: str) -> Array | None:
-    """Horizontal unit vector of the side that a word denotes, shape (3,); None for a word that denotes no side."""
+    """Return the horizontal unit vector toward the side that a predicate denotes, shape (3,), or None."""
     if word not in AXES:
         return None
     column, sign = AXES[word]
@@ -286,8 +306,9 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
 
 
 FULL = 0.85
-"""Maximum share of a table's area that shadows fill if objects are placed at random, largest first. Disks or squares of
-equal size reach 0.55 (the jamming limit of random sequential packing); small ones between large ones add a little.
+"""Maximum fraction of a table's area that shadows can fill if objects are placed at random, largest first. Disks or
+squares of equal size reach 0.55 (the jamming limit of random sequential packing); small objects between large ones fill
+slightly more.
 """
 
 
@@ -299,10 +320,15 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Return the reasons why the objects that must stand on the given places cannot all fit; empty if they may.
+    """Return the reasons why the objects that must stand on the given places cannot all fit; empty if they might.
 
-    The places must hold the objects that stand there and stay, those that the ``axis`` moves onto ``around`` (by
-    default the places), and ``count`` distractors taken from ``items`` in turn (at best the smallest of them).
+    Args:
+        twin: The twin, whose unmoved objects stay where they are.
+        places: Level surfaces on which the objects must stand.
+        axis: The scene axis that moves objects, or None.
+        items: Distractors to choose from; none is repeated before all have been used.
+        count: Number of distractors; in the best case, the smallest ones are chosen.
+        around: Name of the object onto which the axis moves objects, by default one of the places.
     """
     moves = axis.objects if axis is not None else {}
     names = list(dict.fromkeys(place.name for place in places))
@@ -314,19 +340,20 @@ def too_full(
     if taken + added <= FULL * area:
         return ()
     what = f"{len(here)} objects" + (f" and the {count} smallest distractors" if count else "")
-    is_full, has = ("is", "it has") if len(names) == 1 else ("are", "they have")
+    is_full, its = ("is", "its") if len(names) == 1 else ("are", "their")
     text = (
-        f"{' and '.join(f'`{name}`' for name in names)} {is_full} too full: the shadows of {what} take "
-        f"{taken + added:.3f} m^2, {has} {area:.3f} m^2, and random placement fills at most {FULL:.0%} of that"
+        f"{' and '.join(f'`{name}`' for name in names)} {is_full} too full: the shadows of {what} require "
+        f"{taken + added:.3f} m^2, but random placement can fill at most {FULL:.0%} of {its} {area:.3f} m^2"
     )
     numbers = {"needed_m2": taken + added, "support_m2": area, "things": float(len(here) + count)}
     return (Reason("too_full", text, numbers),)
 
 
 def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
-    """Lower bound of the total shadow area [m^2] of ``count`` items, where none is repeated before each was used once.
+    """Return a lower bound of the total shadow area [m^2] of ``count`` items, all of which are used before any repeats.
 
-    If even the bounding rectangles fit into the ``free`` area [m^2], the exact shadows are not computed.
+    If the bounding rectangles already fit into the ``free`` area [m^2], 0 is returned and the exact shadows are not
+    computed.
     """
     if not count or _sum([item.size[0] * item.size[1] for item in items], count) <= free:
         return 0.0
@@ -336,6 +363,6 @@ def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int
 
 
 def _sum(areas: Sequence[float], count: int) -> float:
-    """Sum of ``count`` areas taken in turn, with the smallest ones in the last, incomplete turn."""
+    """Return the sum of ``count`` areas taken in turn, with the smallest areas in the last, incomplete turn."""
     whole, rest = divmod(count, len(areas))
     return whole * sum(areas) + sum(sorted(areas)[:rest])

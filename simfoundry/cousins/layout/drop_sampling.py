@@ -21,10 +21,10 @@ from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.scene import Place
 
 EDGE = 0.003
-"""Maximum distance of a foot from an edge that it rests on [m]; a dropped object keeps a gap of 1 mm."""
+"""An object rests on an edge if its lowest point is closer to it than this [m]; dropped objects keep a gap of 1 mm."""
 
 DROPS = 64
-"""Number of drops before an object counts as not fitting."""
+"""Number of drops after which the object is considered not to fit."""
 
 
 def drop(
@@ -32,10 +32,20 @@ def drop(
 ) -> Reason | None:
     """Place an object on or inside the anchor, uniformly over all poses that are free and satisfy the predicates.
 
-    An object that must be on the anchor stands on any of its levels, or lies at its first contact from above and may
-    slide while it settles; poses that balance on an edge too narrow to stand on are rejected. Objects are dropped
-    upright first; an object that must be inside and does not fit upright is also dropped on its sides. Return the
-    reason for a failure, or None.
+    An object that must be on the anchor is placed on one of its levels, or at its first contact from above, from where
+    it may slide while settling. Poses in which it balances on an edge too narrow to stand on are rejected. An object
+    that must be inside is dropped upright first, and then also on its sides if it does not fit.
+
+    Args:
+        table: The arrangement to which the object is added.
+        anchor: Name of the anchor.
+        thing: The object to place.
+        words: Names of the predicates between the object and the anchor.
+        axis: The scene axis, which specifies the yaw range.
+        rng: Random generator.
+
+    Returns:
+        The reason for the failure, or None if the object was placed.
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
@@ -79,23 +89,26 @@ def drop(
         return None
     said = ", ".join(f"{count} times it {what}" for what, count in counts.items() if count)
     word = "inside" if "Inside" in words else "on"
-    text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
+    text = f"could not place `{thing.name}` {word} `{anchor}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
     numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
     return Reason("no_place", text, numbers)
 
 
 def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
-    """Pose of an object on a level, with its frame over a point; raises :class:`PlaceError` if it would stick out."""
+    """Return the pose of an object on a level with its frame above a point; raise :class:`PlaceError` if it overhangs.
+
+    ``xy`` [m] is the point, and ``yaw`` [rad] is the rotation about z.
+    """
     X_WO = thing.pose(*xy, thing.height(level), yaw)
     turn = cmath.rect(1.0, yaw)
     middle = complex(*xy) + turn * thing.outline.middle
     if not level.holds(np.array([[middle.real, middle.imag]]), np.array([turn]), thing.outline.spread)[0]:
-        raise PlaceError(f"`{thing.name}` would stick out over the level of `{level.name}` at {level.height:.3f} m")
+        raise PlaceError(f"`{thing.name}` would overhang the level of `{level.name}` at {level.height:.3f} m")
     return X_WO
 
 
 def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
-    """Return whether an object would balance: its center is above a narrow edge that its foot rests on."""
+    """Return whether an object would balance on a narrow edge, that is, rest on the edge with its center above it."""
     import shapely
 
     edges = twin[anchor].edges
@@ -106,7 +119,7 @@ def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str)
 
 
 def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
-    """Return the object lying on two of its sides, in case it does not fit upright; empty if it has riders."""
+    """Return the object in two orientations lying on its side; empty if other objects ride on it."""
     if thing.riders:
         return []
     sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
@@ -116,9 +129,19 @@ def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
 def dropped(
     twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
 ) -> Pose:
-    """Pose at which an object that comes down from above first touches the anchor.
+    """Return the pose at which an object lowered from above first touches the anchor.
 
-    Raises :class:`PlaceError` if it misses the anchor.
+    Args:
+        twin: The twin.
+        thing: The object.
+        anchor: Name of the anchor.
+        X_WA: Pose of the anchor.
+        inside: True to place the object inside the anchor instead of on it.
+        xy: Position of the object's frame [m].
+        yaw: Rotation about z [rad].
+
+    Raises:
+        PlaceError: The object misses the anchor or does not fit.
     """
     turned = thing.pose(0.0, 0.0, 0.0, yaw)
     rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
@@ -132,21 +155,26 @@ TURNS = 240
 """Number of sampled orientations, about 25 degrees apart."""
 
 SAMPLES = 64
-"""Number of sample points of the object, equal to that of the predicate ``Inside``."""
+"""Number of sample points in the object, the same as in the predicate ``Inside``."""
 
 SURE = 0.4
-"""Rejection threshold: with a best share below it, no orientation between two samples can reach :data:`ENCLOSED`."""
+"""If the best fraction over the sampled orientations is below this, no intermediate orientation reaches
+:data:`ENCLOSED`.
+"""
 assert SURE < ENCLOSED
 
 
 def cavity_extents(hole: Cavity) -> Array:
-    """Side lengths [m] of the bounding box of a cavity, walls included, shape (3,)."""
+    """Return the side lengths [m] of a cavity's bounding box, including walls, shape (3,)."""
     cells = np.argwhere(hole.depth > 0)
     return np.asarray((np.ptp(cells, axis=0) + 1) * hole.cell)
 
 
 def largest_share(forms: Iterable[Form], extents: Array) -> float:
-    """Largest share of an object's volume that fits into a box of the given extents [m], in any sampled orientation."""
+    """Return the largest fraction of an object's volume that fits into a box in any of the sampled orientations.
+
+    ``extents`` [m] are the side lengths of the box.
+    """
     found = [volume_samples(form, SAMPLES) for form in forms]
     points = np.concatenate(found)
     points = points[:: max(1, len(points) // SAMPLES)]
@@ -156,7 +184,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
     for quaternion in _orientations():
         turned = Pose.of(q=quaternion).apply(points)
         within = [_covered(turned[:, k], float(extents[k])) for k in range(3)]
-        for row in within[0]:  # windows that start at each point along x; those along y and z together
+        for row in within[0]:  # one window per point along x; the windows along y and z are combined below
             if row.sum() > best:
                 some = row.nonzero()[0]
                 best = max(best, int((within[1][:, some].astype(float) @ within[2][:, some].T.astype(float)).max()))
@@ -166,15 +194,16 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Mask of the values covered by a window that starts at each value, shape (n, n)."""
+    """Return a mask of the values covered by a window of a given length that starts at each value, shape (n, n)."""
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 
 
 def _orientations() -> Array:
-    """Unit quaternions (w, x, y, z) spread evenly over all rotations, shape (TURNS, 4): a super-Fibonacci spiral.
+    """Return unit quaternions (w, x, y, z) distributed evenly over all rotations, shape (TURNS, 4).
 
-    After Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
+    They form a super-Fibonacci spiral; see Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)",
+    CVPR 2022.
     """
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(TURNS) + 0.5

@@ -1,7 +1,8 @@
-"""Scene cousins: new layouts in which objects stand around an anchor as a recipe allows.
+"""Propose new layouts in which objects are placed around an anchor, subject to a recipe's constraints.
 
-Predicates are chosen first, evenly over all that each object may have. The objects are then placed one after another,
-largest first, each uniformly over all allowed and free places. If one finds no place, all start over, up to a limit.
+Predicates are chosen first, uniformly among those allowed for each object. The objects are then placed one after
+another, largest first, each uniformly over all allowed and free placements. If an object cannot be placed, all objects
+are placed again, up to a maximum number of attempts.
 """
 
 from __future__ import annotations
@@ -25,18 +26,22 @@ from simfoundry.predicates.judging.view import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
-"""Number of times that all objects are placed anew after one finds no place."""
+"""Maximum number of attempts to place all objects."""
 
 ALMOST = 4
-"""With many distractors, retry only if at most this many, or an eighth, are unplaced: a retry creates no space."""
+"""Retry placing distractors only if at most this many, or an eighth of them, remain; retrying does not create space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """New poses of objects: ``poses`` X_WO by name of all objects that move, riders included.
+    """New object poses.
 
-    ``asked`` are the conditions that must hold at rest; ``dropped`` objects may move as they come to rest on or in the
-    anchor; ``tries`` counts candidates.
+    Attributes:
+        anchor: Name of the anchor; empty if there is none.
+        asked: Conditions that must hold at rest.
+        poses: Poses X_WO by name of all objects that move, including riders.
+        dropped: Objects dropped onto or into the anchor, which may move while they come to rest.
+        tries: Number of candidate placements drawn.
     """
 
     anchor: str
@@ -46,7 +51,7 @@ class Layout:
     tries: int = 0
 
     def and_then(self, table: Arrangement, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
-        """Return this layout with the objects placed on a table added to it."""
+        """Return this layout with the objects that were placed in an arrangement added to it."""
         return Layout(
             self.anchor or anchor,
             (*self.asked, *asked),
@@ -61,9 +66,10 @@ NOTHING = Layout("", (), MappingProxyType({}))
 
 
 def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:
-    """Place the objects of an axis around its anchor, on top of an earlier ``layout``.
+    """Place the objects of an axis around its anchor, in addition to those in an earlier ``layout``.
 
-    Raises :class:`ImpossibleError` before any sampling if the axis can never be satisfied.
+    Raises:
+        ImpossibleError: The axis can never be satisfied; this is detected before any sampling.
     """
     asks = placement_constraints(twin, axis)
     chosen = {name: asks.sets[name][int(rng.integers(len(asks.sets[name])))] for name in asks.order}
@@ -86,14 +92,23 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
 def scatter(
     twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
 ) -> Layout | Rejected:
-    """Place objects anywhere on ``on``, or uniformly over all free places of the twin, without predicates.
+    """Place objects at random, without predicates, on the object ``on`` or on any of the twin's free level surfaces.
 
-    An object that finds no space at its randomly chosen place is moved to another. Raises :class:`TwinError` if there
-    is no level surface.
+    An object that does not fit on its randomly chosen surface is placed on a different one.
+
+    Args:
+        twin: The twin.
+        names: Names of the objects to place.
+        rng: Random generator.
+        on: Name of the object to place them on; by default any suitable surface of the twin is used.
+        layout: Earlier layout to which the placements are added.
+
+    Raises:
+        TwinError: There is no level surface.
     """
     places = twin.places if not on else tuple(filter(None, [twin[on].support(None)]))
     if not places:
-        raise TwinError(f"`{on or twin.ground}` has no level surface, so no object can be placed on it")
+        raise TwinError(f"objects cannot be placed on `{on or twin.ground}`, because it has no level surface")
     order = by_size(twin, names, places[0].name)
     areas = np.array([place.area for place in places])
     reason: Reason | None = None
@@ -118,8 +133,10 @@ def _put_all(
     places: Sequence[Support],
     rng: np.random.Generator,
 ) -> tuple[int, Reason | None]:
-    """Place objects at their chosen supports; return the number left over, and the reason if one finds no space
-    anywhere.
+    """Place objects on their chosen supports.
+
+    Returns:
+        The number of objects not placed, and the reason if an object does not fit on any support.
     """
     left = len(names)
     for place in places:
@@ -142,7 +159,7 @@ def _put_all(
 
 
 def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
-    """Place an object on a support; return whether it found space there."""
+    """Place an object on a support; return whether it fits there."""
     thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
@@ -152,7 +169,7 @@ def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str],
 
 
 def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
-    """Return names by decreasing shadow size, ties in alphabetical order."""
+    """Sort object names by decreasing shadow area, and alphabetically if areas are equal."""
     areas = {name: Placeable.of(twin, name, on).outline.area for name in names}
     return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
@@ -165,7 +182,7 @@ def _place(
     words: tuple[str, ...],
     rng: np.random.Generator,
 ) -> Reason | None:
-    """Place one object; return the reason if it finds no place."""
+    """Place one object; return the reason if it cannot be placed."""
     if set(words) & set(DROPPED):
         return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids
@@ -185,7 +202,7 @@ def _place(
 
 
 def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
-    """Region in which an object is no farther from the anchor than the maximum gap."""
+    """Return a region that contains all placements of an object with at most the maximum gap to the anchor."""
     lowest, highest = table.twin.box(anchor, table.poses[anchor])
     reach = axis.gap[1] + thing.outline.radius
     low = np.maximum(support.bounds[0], lowest[:2] - reach)
@@ -197,7 +214,7 @@ def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support,
 def _judged(
     table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float
 ) -> Callable[[Array, Array, Array], Mask]:
-    """Return a vectorized test for candidates that satisfy the predicates, evaluated by the judge itself."""
+    """Return a vectorized test that uses the judge to select the candidates that satisfy the predicates."""
     twin, X_WA = table.twin, table.poses[anchor]
     condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
     upright = thing.upright.rotation
@@ -225,7 +242,7 @@ def no_room(
     words: tuple[str, ...] = (),
     axis: SceneAxis | None = None,
 ) -> Reason:
-    """Reason why an object found no place, with the suitable and the free area of the support."""
+    """Return the reason why an object could not be placed, including the suitable and free areas of the support."""
     there = table.there
     wide, free = thing.outline.width, max(0.0, support.area - there.area_on(support.height))
     numbers = {
@@ -242,17 +259,19 @@ def no_room(
     strip = strip_beside(table.twin, anchor, support, words) if anchor else None
     if strip is not None:
         numbers |= {"strip_deep_m": strip[0], "strip_long_m": strip[1]}
-        text += f"the strip of `{support.name}` there is {strip[0]:.2f} m x {strip[1]:.2f} m, "
-    text += f"`{thing.name}` is {wide:.2f} m wide; {free:.3f} of {support.area:.3f} m^2 of `{support.name}` are free; "
-    text += f"{found.tried:,} tries, {found.standing:,} on `{support.name}`"
+        text += f"the strip of `{support.name}` there is {strip[0]:.2f} m x {strip[1]:.2f} m, and "
+    text += f"`{thing.name}` is {wide:.2f} m wide; {free:.3f} of {support.area:.3f} m^2 of `{support.name}` is free; "
+    text += f"of {found.tried:,} candidates, {found.standing:,} are on `{support.name}`"
     if axis is not None:
-        text += f", {found.allowed:,} where asked, none free at a gap of {axis.gap[0]:g} to {axis.gap[1]:g} m"
+        text += f", {found.allowed:,} satisfy the predicates, and none is free at a gap of {axis.gap[0]:g} to "
+        text += f"{axis.gap[1]:g} m"
     return Reason("no_room", text, numbers)
 
 
 def strip_beside(twin: Twin, anchor: str, support: Support, words: tuple[str, ...]) -> tuple[float, float] | None:
-    """Depth and length [m] of the part of a support beside an anchor, from its edge outward; None if no side is
-    requested.
+    """Return the depth and length [m] of the strip of a support beside an anchor, measured outward from the anchor.
+
+    The result is None if the predicates ``words`` do not request a side.
     """
     sides = [axis for word in words if (axis := side_axis(twin.scene.viewer, word)) is not None]
     if not sides:

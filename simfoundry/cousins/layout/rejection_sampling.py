@@ -1,10 +1,12 @@
-"""Rejection sampling of places: uniform over the allowed region, whatever its shape.
+"""Rejection sampling of placements, uniform over an allowed region of any shape.
 
-Positions and yaw angles are drawn in batches, uniformly over a rectangle that contains the allowed region, and the
-first candidate that passes every test is taken; so each allowed place is equally likely. The tests, in order: the whole
-shadow lies over the support; the pose satisfies the predicates (evaluated for all remaining candidates together); the
-rectangle overlaps no standing object's rectangle (exact for boxes); if rectangles overlap, the convex parts, one
-candidate at a time.
+Positions and yaw angles are drawn in batches, uniformly over a rectangle that contains the allowed region. The first
+candidate that passes all tests is used, so all allowed placements are equally likely. The tests are, in order:
+
+1. The entire shadow is over the support.
+2. The pose satisfies the predicates, which are evaluated for all remaining candidates at once.
+3. The object's rectangle does not overlap the rectangle of a standing object; this test is exact for boxes.
+4. If rectangles overlap, the convex parts do not; this is tested for one candidate at a time.
 """
 
 from __future__ import annotations
@@ -21,30 +23,30 @@ from simfoundry.cousins.layout.supports import Complex, Outline, Support
 from simfoundry.geometry.frames import Array
 
 TRIES = 4096
-"""Maximum number of candidates before an object counts as not placeable."""
+"""Number of candidates after which the search for a placement is abandoned."""
 
 FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
-"""Batch sizes: the first, the first if predicates are evaluated, and the largest; batches grow."""
+"""Size of the first batch, size of the first batch if predicates are evaluated, and maximum size; batches grow."""
 
 NEAR_LEVEL = 0.02
-"""Tolerance [m] on the height of an object's lowest point for it to stand on a level."""
+"""An object stands on a level if the height of its lowest point is within this tolerance [m]."""
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Allowed = Callable[[Array, Array, Array], Mask]
-"""Mask of the allowed candidates, from x, y [m] of the object's frame and its rotation about z [rad], shape
-(n,) each.
+"""Function that returns a mask of the allowed candidates, given x and y [m] of the object's frame and its rotation
+about z [rad], shape (n,) each.
 """
 
 Clear = Callable[[float, float, float, tuple[int, ...]], bool]
-"""Return whether one candidate is clear of the entries, given by index, whose rectangles it meets."""
+"""Function that returns whether a candidate is clear of the given entries, whose rectangles it overlaps."""
 
 Last = Callable[[float, float, float], bool]
-"""Return whether one candidate passes a test that is too expensive to run on many."""
+"""Function that returns whether a candidate passes a test that is too expensive to run on many candidates."""
 
 
 class Occupancy:
-    """Rectangles and height ranges of the objects on a support; objects with several links have several entries."""
+    """Rectangles and height ranges of the objects in a scene; an object has one entry per link."""
 
     def __init__(self, room: int = 64) -> None:
         self.count = 0
@@ -55,7 +57,7 @@ class Occupancy:
         self._boxy: list[bool] = []
 
     def add(self, owner: str, outline: Outline, x: float, y: float, z: float, yaw: float) -> None:
-        """Add an object whose frame is at x, y, z [m] and rotated by ``yaw`` [rad] about z."""
+        """Add an entry for an object whose frame is at x, y, z [m] and rotated by ``yaw`` [rad] about z."""
         k = self.count
         if k == len(self._half):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
@@ -71,14 +73,16 @@ class Occupancy:
         self.count = k + 1
 
     def set_aside(self, owner: str | None) -> None:
-        """Exclude exactly the entries of ``owner``, because an object that stands on it touches it."""
+        """Ignore the entries of ``owner``, and no others, because objects that stand on it touch it."""
         self._rows[3:5, : self.count] = self._heights[:, : self.count]
         aside = [k for k, name in enumerate(self.owners) if name == owner]
         self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
 
     def near(self, center: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
-        """Mask (n, k) of candidates and entries whose bounding circles are closer than ``gap``, and their
-        offsets [m].
+        """Find pairs of candidates and entries whose bounding circles are closer than ``gap`` [m].
+
+        Returns:
+            A mask of the pairs, and the offsets [m] from candidates to entries along x and y, shape (n, k) each.
         """
         rows = self._rows[:, : self.count]
         dx, dy = rows[0] - center[:, :1], rows[1] - center[:, 1:]
@@ -90,9 +94,10 @@ class Occupancy:
         return near, dx, dy
 
     def met(self, i: Index, j: Index, dx: Array, dy: Array, turn: Complex, outline: Outline, gap: float) -> Mask:
-        """Return whether the rectangles of candidates i, rotated by unit complex numbers, meet those of entries j.
+        """Return whether the rectangles of candidates ``i`` overlap those of entries ``j``.
 
-        ``dx`` and ``dy`` [m] are the offsets between their centers.
+        ``turn`` contains the rotations of the candidates as unit complex numbers; ``dx`` and ``dy`` [m] are the offsets
+        from candidates to entries.
         """
         half = complex(*outline.half.tolist())
         return rectangles_meet(dx + 1j * dy, turn[i] * outline.turn, half, self._turn[j], self._half[j], gap)
@@ -100,8 +105,9 @@ class Occupancy:
     def all_met(
         self, entries: range, center: Complex, side: Complex, half: Complex, low: Array, high: Array, gap: float
     ) -> Iterator[tuple[int, int]]:
-        """Yield pairs of rectangles (as in :func:`rectangles_meet`, each with a height range) and entries that
-        overlap.
+        """Yield the indices of each rectangle and entry that overlap.
+
+        The rectangles are specified as in :func:`rectangles_meet`, and each has a height range [m].
         """
         rows = self._rows[:, entries.start : entries.stop]
         if not rows.shape[1]:
@@ -116,22 +122,27 @@ class Occupancy:
         yield from zip(i[met].tolist(), k[met].tolist(), strict=True)
 
     def area_on(self, height: float) -> float:
-        """Total shadow area [m^2] of the objects whose lowest point is near a height [m]."""
+        """Return the total shadow area [m^2] of the objects whose lowest point is near a height [m]."""
         low, area = self._rows[3, : self.count], self._rows[5, : self.count]
         return float(area[np.abs(low - height) < NEAR_LEVEL].sum())
 
     def any_boxy(self, entries: Iterable[int]) -> bool:
-        """Return whether one of the entries fills its rectangle."""
+        """Return whether at least one of the entries is a box that fills its rectangle."""
         return any(self._boxy[k] for k in entries)
 
 
 def rectangles_meet(
     off: Complex, turn_a: Complex, half_a: Complex | complex, turn_b: Complex, half_b: Complex | complex, gap: float
 ) -> Mask:
-    """Return whether rectangles are closer than ``gap`` [m] along the sides of both, that is, no side separates them.
+    """Return whether pairs of rectangles overlap or are closer than ``gap`` [m], by the separating axis test.
 
-    ``off`` is the vector from the center of the first to that of the second [m]; rotations are unit complex numbers;
-    the real part of the half extents [m] is along the first side.
+    Args:
+        off: Vectors from the center of rectangle a to the center of rectangle b [m], as complex numbers.
+        turn_a: Rotations of rectangle a as unit complex numbers.
+        half_a: Half extents of rectangle a [m]; the real part is along its first side.
+        turn_b: Rotations of rectangle b.
+        half_b: Half extents of rectangle b [m].
+        gap: Required distance [m].
     """
     way = turn_a * turn_b.conj()
     cos, sin = np.abs(way.real), np.abs(way.imag)
@@ -145,8 +156,14 @@ def rectangles_meet(
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Ranges of the center [m] and rotation [rad] of an object's rectangle, shape (2,) each, the ``support`` that it
-    stands on, and the height ``z`` [m] of its frame there.
+    """The region from which placements of an object are drawn.
+
+    Attributes:
+        low: Lower bounds of the center of the object's rectangle [m], shape (2,).
+        high: Upper bounds of the center [m], shape (2,).
+        turn: Range of the rotation about z [rad].
+        support: Level surface that the object stands on.
+        z: Height of the object's frame [m].
     """
 
     low: Array
@@ -157,7 +174,7 @@ class Region:
 
     @cached_property
     def span(self) -> tuple[Array, Array]:
-        """Lowest x, y [m] and rotation [rad], and the size of their ranges, shape (3,) each."""
+        """Lower bounds of x, y [m] and the rotation [rad], and the sizes of their ranges, shape (3,) each."""
         low, high = np.array([*self.low, self.turn[0]]), np.array([*self.high, self.turn[1]])
         return low, high - low
 
@@ -170,8 +187,13 @@ class Region:
 
 @dataclass(frozen=True)
 class Found:
-    """The place found for an object (x, y [m] of its frame, rotation about z [rad]) or None, with counts of the
-    candidates.
+    """The result of a search for a placement.
+
+    Attributes:
+        spot: x and y [m] of the object's frame and its rotation about z [rad], or None if the search failed.
+        tried: Number of candidates drawn.
+        standing: Number of candidates that were entirely over the support.
+        allowed: Number of those candidates that also satisfied the predicates.
     """
 
     spot: tuple[float, float, float] | None
@@ -190,10 +212,17 @@ def find(
     clear: Clear | None = None,
     last: Last | None = None,
 ) -> Found:
-    """Find a place for an object in a region, uniform over all that pass every test.
+    """Find a placement for an object in a region, uniformly over all placements that pass the tests.
 
-    The tests come after those for the support and for box-shaped objects: ``allowed`` is called with many candidates at
-    once, ``clear`` with one that meets rectangles of entries, ``last`` with one that is clear.
+    Args:
+        outline: Top view of the object.
+        region: Region from which placements are drawn.
+        there: Objects that are already standing.
+        rng: Random generator.
+        gap: Required distance from other objects [m].
+        allowed: Additional test of many candidates at once.
+        clear: Test of a candidate whose rectangle overlaps entries; without it, such candidates are rejected.
+        last: Additional test, called only for candidates that passed all other tests.
     """
     tried = standing = permitted = 0
     size, offset = FIRST if allowed is None else FIRST_JUDGED, outline.middle
@@ -224,9 +253,9 @@ def find(
 def _unblocked(
     outline: Outline, z: float, there: Occupancy, gap: float, first: bool, center: Array, turn: Complex
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
-    """Yield, in order, the candidates that are not certainly blocked, each with the entries whose rectangles it meets.
+    """Yield the candidates that may be free, in order, each with the entries whose rectangles it overlaps.
 
-    If only the ``first`` is needed, candidates after one that meets nothing are skipped.
+    If only the ``first`` candidate is needed, the search stops after the first one that does not overlap any entries.
     """
     near, dx, dy = there.near(center, outline, z, gap)
     some: list[bool] = np.asarray(near.any(axis=1)).tolist()

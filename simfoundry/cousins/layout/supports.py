@@ -1,4 +1,7 @@
-"""Support surfaces and shadows of objects: the vertical projection's convex outline and its smallest rectangle."""
+"""Support surfaces and shadows of objects.
+
+A shadow is the convex outline of an object's vertical projection, together with the smallest rectangle around it.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +27,21 @@ ROUND = 48
 """Number of corners of the polygon around the shadow of a ball."""
 
 LEVEL = 2e-4
-"""Height tolerance [m] for the corners of a box that stands flat: settling leaves that much."""
+"""Tolerance [m] on the corner heights of a box that stands flat, to allow for the inaccuracy of settling."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Top view of an object, in the frame that it has at its place before the rotation about z.
+    """Top view of an object, expressed in its frame before the rotation about z.
 
-    ``corners`` [m] of its convex shadow, counter-clockwise, shape (m, 2). The rectangle has its ``center`` [m], shape
-    (2,), ``half`` extents [m], shape (2,), and is rotated by ``angle`` [rad]. ``low`` and ``high`` [m] are relative to
-    the frame's origin. ``boxy`` is true if the object fills the rectangle from low to high.
+    Attributes:
+        corners: Corners of the convex shadow [m], counterclockwise, shape (m, 2).
+        center: Center of the smallest rectangle around the shadow [m], shape (2,).
+        half: Half extents of the rectangle [m], shape (2,).
+        angle: Rotation of the rectangle [rad].
+        low: Lowest height relative to the frame's origin [m].
+        high: Highest height relative to the frame's origin [m].
+        boxy: True if the object is a box that fills the rectangle from ``low`` to ``high``.
     """
 
     corners: Array
@@ -46,7 +54,7 @@ class Outline:
 
     @classmethod
     def of(cls, shape: Hulls) -> Outline:
-        """Outline convex parts; raises ValueError if there are none."""
+        """Compute the outline of convex parts; raise ValueError if there are none."""
         if not len(shape.corners):
             raise ValueError("there are no convex parts")
         corners = _shadow(shape)
@@ -56,22 +64,22 @@ class Outline:
 
     @cached_property
     def spread(self) -> Array:
-        """Corners relative to the center of the rectangle [m], shape (2, m)."""
+        """Corners of the shadow relative to the rectangle's center [m], shape (2, m)."""
         return np.ascontiguousarray((self.corners - self.center).T)
 
     @cached_property
     def radius(self) -> float:
-        """Radius [m] of the circle about the center of the rectangle that contains the shadow."""
+        """Radius [m] of the smallest circle that contains the shadow and is centered on the rectangle's center."""
         return float(np.hypot(*self.spread).max())
 
     @cached_property
     def size(self) -> float:
-        """Radius [m] of the circumscribed circle of the rectangle."""
+        """Radius [m] of the rectangle's circumscribed circle."""
         return float(np.hypot(*self.half))
 
     @cached_property
     def middle(self) -> complex:
-        """Center as x + iy [m]."""
+        """Center of the rectangle as the complex number x + iy [m]."""
         return complex(*self.center.tolist())
 
     @cached_property
@@ -86,12 +94,12 @@ class Outline:
 
     @cached_property
     def width(self) -> float:
-        """Minimum width: distance between the closest two parallel lines that enclose the shadow [m]."""
+        """Minimum width of the shadow [m]: the smallest distance between two parallel lines that enclose it."""
         return float(_spans(self.corners).min())
 
 
 def _shadow(shape: Hulls) -> Array:
-    """Convex outline of all parts in the top view; balls are replaced by circumscribed polygons."""
+    """Return the convex outline of all parts in the top view; balls are replaced with circumscribed polygons."""
     points, radius = shape.corners[:, :2], shape.radius[shape.part]
     angle = (np.arange(ROUND) + 0.5) * (2 * np.pi / ROUND)
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / ROUND)
@@ -101,8 +109,9 @@ def _shadow(shape: Hulls) -> Array:
 
 
 def hull(points: Array) -> Array:
-    """Corners of the convex hull, counter-clockwise, shape (m, 2); a degenerate hull is replaced by a thin
-    rectangle.
+    """Return the corners of the convex hull of points [m], counterclockwise, shape (m, 2).
+
+    A degenerate hull is replaced with a thin rectangle.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -119,7 +128,10 @@ def _area(corners: Array) -> float:
 
 
 def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
-    """Unit directions of the edges, (m, 2), and the corners along and across each, (m, m)."""
+    """Return the unit directions of a polygon's edges and the coordinates of its corners relative to each edge.
+
+    The directions have the shape (m, 2); the coordinates along and across each edge have the shape (m, m) each.
+    """
     edges = np.roll(corners, -1, axis=0) - corners
     edges /= np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), 1e-12)
     return edges, edges @ corners.T, np.column_stack([-edges[:, 1], edges[:, 0]]) @ corners.T
@@ -131,7 +143,10 @@ def _spans(corners: Array) -> Array:
 
 
 def _rectangle(corners: Array) -> tuple[Array, Array, float]:
-    """Rectangle of smallest area around a convex polygon; one of its sides lies along an edge."""
+    """Return the rectangle of smallest area around a convex polygon: center [m], half extents [m] and angle [rad].
+
+    One side of this rectangle is parallel to an edge of the polygon.
+    """
     edges, along, across = _along_edges(corners)
     spans = [(v.min(axis=1), v.max(axis=1)) for v in (along, across)]
     area = (spans[0][1] - spans[0][0]) * (spans[1][1] - spans[1][0])
@@ -144,7 +159,7 @@ def _rectangle(corners: Array) -> tuple[Array, Array, float]:
 
 
 def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
-    """Return whether the object is exactly one box that stands flat."""
+    """Return whether the object is a single box that stands flat."""
     z = shape.corners[:, 2]
     if len(shape.radius) != 1 or shape.radius[0] > 0 or len(z) != 8:
         return False
@@ -153,28 +168,28 @@ def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -
 
 
 UPWARD = 0.999
-"""A face whose unit normal has at least this z component is level."""
+"""Minimum z component of the unit normal of a level face."""
 
 STEP = 1e-3
-"""Faces whose heights differ by less than this [m] are one level."""
+"""Faces whose heights differ by less than this [m] belong to the same level."""
 
 NARROW = 0.04
-"""Maximum width [m] of an edge that is no place to stand on, such as the side panel of a shelf or the rim of a box.
-Graspable objects are about this wide or wider, and would balance there.
+"""Width [m] below which an edge is too narrow to stand on, such as the side panel of a shelf or the rim of a box.
+Graspable objects are about this wide or wider and would balance there.
 """
 
 ABOVE = 0.02
-"""Height above a level [m] from which rays test for access by a hand: lower than the lips that keep objects on
+"""Height above a level [m] from which rays test whether a hand has access; lower than the lips that keep objects on
 trays.
 """
 
 OPEN_SHARE = 0.05
-"""A level is open if at least this share of the rays from its center leave the object: about a sixth for a shelf with
-an open front, none for a closed drawer.
+"""Minimum fraction of the rays from a level's center that must leave the object for the level to be open; about a sixth
+do on a shelf with an open front, and none in a closed drawer.
 """
 
 _FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
-"""Rays (x, y, 1) that fill a right angle."""
+"""Ray directions (x, y, 1) that cover a field of view of about 90 degrees."""
 
 SIDEWAYS = tuple(
     np.array(axes, dtype=np.float64).T
@@ -191,11 +206,15 @@ SIDEWAYS = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """A level surface at ``height`` [m] of the object ``name``.
+    """A level surface of an object.
 
-    ``corners`` [m] of the convex hull of its ``area`` [m^2], counter-clockwise, shape (m, 2); ``plane`` is the area
-    itself if it is not convex. ``plain`` is true if the object is one convex part, so that nothing protrudes above the
-    level.
+    Attributes:
+        name: Name of the object.
+        height: Height of the surface [m].
+        corners: Corners of the surface's convex hull [m], counterclockwise, shape (m, 2).
+        area: Area of the surface [m^2].
+        plane: Exact surface if it is not convex, else None.
+        plain: True if the object is a single convex part, so nothing protrudes above the surface.
     """
 
     name: str
@@ -207,12 +226,12 @@ class Support:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest corner [m], shape (2,) each."""
+        """Minimum and maximum corners of the bounding rectangle [m], shape (2,) each."""
         return self.corners.min(axis=0), self.corners.max(axis=0)
 
     @cached_property
     def middle(self) -> tuple[float, float]:
-        """A point inside the level [m], away from its edges where possible."""
+        """A point on the level [m], away from its edges if possible."""
         if self.plane is None:
             x, y = self.corners.mean(axis=0).tolist()
             return x, y
@@ -221,23 +240,26 @@ class Support:
 
     @cached_property
     def normals(self) -> Array:
-        """Outward unit normals of the sides of the hull, shape (m, 2)."""
+        """Outward unit normals of the hull's sides, shape (m, 2)."""
         edges = np.roll(self.corners, -1, axis=0) - self.corners
         outward = np.column_stack([edges[:, 1], -edges[:, 0]])
         return np.asarray(outward / np.linalg.norm(outward, axis=1, keepdims=True))
 
     @cached_property
     def offsets(self) -> Array:
-        """Offsets of the sides along their normals [m], shape (m,)."""
+        """Distances of the hull's sides from the origin along their normals [m], shape (m,)."""
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
     def holds(self, center: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
-        """Return whether whole shadows lie over the level, (n,).
+        """Return whether entire shadows are over the level, shape (n,).
 
-        Arguments: the centers of their rectangles [m], (n, 2); their rotations about z as unit complex numbers, (n,);
-        and the :attr:`Outline.spread`, either one for all, (2, m), or one each, (n, 2, m).
+        Args:
+            center: Centers of the shadows' rectangles [m], shape (n, 2).
+            turn: Rotations about z as unit complex numbers, shape (n,).
+            spread: :attr:`Outline.spread` [m], either shared by all shadows, shape (2, m), or per shadow, shape
+                (n, 2, m).
         """
-        # Rotate the sides into the object's frame, in which the shadow's farthest corner along each side is known.
+        # Rotate the sides into the object's frame to find the shadow's farthest corner along each normal.
         sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
         reach = (sides @ spread).max(axis=-1)
         within: NDArray[np.bool_] = (center @ self.normals.T + reach <= self.offsets).all(axis=1)
@@ -256,10 +278,10 @@ class Support:
 
 
 def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
-    """Return every level surface of an object on which another can stand, lowest first, optionally of some ``links``
-    only.
+    """Return all level surfaces of an object that other objects can stand on, lowest first.
 
-    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are excluded.
+    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are excluded. If ``links`` is given,
+    only the surfaces of these links are returned.
     """
     found = []
     for _, triangles in _levels(shape, links):
@@ -270,7 +292,10 @@ def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
-    """Return the level of an object closest to the height ``near`` [m], or its largest; None if no face is level."""
+    """Return the level surface of an object closest to the height ``near`` [m], or its largest if ``near`` is None.
+
+    The result is None if the object has no level faces.
+    """
     levels = _levels(shape)
     if not levels:
         return None
@@ -282,7 +307,7 @@ def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | 
 
 
 def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
-    """Heights [m] and areas of level surfaces narrower than :data:`NARROW`, such as shelf sides and box rims."""
+    """Return the heights [m] and areas of strips narrower than :data:`NARROW`, such as shelf sides and box rims."""
     found = []
     for height, triangles in _levels(shape, links):
         plane = _plane(triangles)
@@ -293,7 +318,7 @@ def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[f
 
 
 def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
-    """Heights [m] of all level surfaces and their triangles [m], shape (m, 3, 3), in ascending order."""
+    """Return the height [m] and triangles [m], shape (m, 3, 3), of each level surface in ascending order."""
     level = shape.normals[:, 2] > UPWARD
     if links is not None:
         level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
@@ -305,7 +330,10 @@ def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[fl
 
 
 def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
-    """Return the level formed by triangles, without strips narrower than ``narrow`` [m]; None if nothing remains."""
+    """Return the level surface formed by triangles, without strips narrower than ``narrow`` [m].
+
+    The result is None if nothing remains.
+    """
     import shapely
 
     plane = _without_strips(_plane(triangles), narrow)
@@ -320,7 +348,7 @@ def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Suppor
 
 
 def _plane(triangles: Array) -> BaseGeometry:
-    """Area covered by triangles in the top view."""
+    """Return the area covered by triangles in the top view."""
     import shapely
 
     area = np.abs(_areas(triangles[:, :, :2]))
@@ -328,20 +356,20 @@ def _plane(triangles: Array) -> BaseGeometry:
 
 
 def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
-    """Return an area without the parts narrower than ``narrow`` [m]; the corners of the rest are unchanged."""
+    """Return an area without the strips narrower than ``narrow`` [m]; the corners of the remainder are unchanged."""
     half = narrow / 2
     return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Return whether the object encloses a level so far that a hand cannot reach its center."""
+    """Return whether the object encloses a level to such an extent that a hand cannot reach its center."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False
     x, y = support.middle
     seen_from = np.array([x, y, support.height + ABOVE])
     out = 0
-    for side in SIDEWAYS:  # one view to each side and one up; a view sees nothing behind its ray origins
+    for side in SIDEWAYS:  # one view to each side and one upward; each view ignores geometry behind it
         local = (triangles - seen_from) @ side
         rays = scattered_rays(*_FAN)
         out += int((first_hits(local, rays).triangle < 0).sum())

@@ -1,4 +1,4 @@
-"""The digital twin from which cousins are derived, prepared once: the settled scene, its judge and its shapes."""
+"""The digital twin from which cousins are derived: the settled scene with its judge and cached shapes."""
 
 from __future__ import annotations
 
@@ -38,25 +38,30 @@ if TYPE_CHECKING:
 
 
 ELSEWHERE = 100.0
-"""Distance [m] of absent objects from the scene and from each other while they fall, so that they meet nothing."""
+"""Distance [m] of absent objects from the scene and from each other, so that they do not collide as they fall."""
 
 UNDERFOOT = 0.3
-"""A level that lies this far below a table top [m], and under it, is the floor; the lowest tables are about
-this high.
+"""A level surface at least this far [m] below a tabletop is considered the floor; the lowest tables are about this
+high.
 """
 
 
 class TwinError(SimfoundryError):
-    """A scene from which no cousins can be made; the message gives the reason."""
+    """Raised for a scene from which cousins cannot be derived; the message explains the reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A scene, or a task in its scene, with a ``state`` at rest.
+    """A scene, optionally with a task, in a state at rest.
 
-    ``goal`` is the task's goal, or None; ``robots`` act in the scene. ``carried`` lists the supports of each free
-    object. ``absent`` objects are part of the scene but have no place yet: a layout must place them. A twin derived
-    from another by :meth:`extended` or :meth:`at` shares all unchanged data with that ``base``.
+    Attributes:
+        scene: The lowered scene.
+        state: State at rest.
+        goal: Goal of the task, or None if there is no task.
+        robots: The robots in the scene.
+        carried: Names of the supports of each free object.
+        absent: Names of objects that are in the scene but have not been placed by a layout yet.
+        base: Twin from which this one was derived by :meth:`extended` or :meth:`at`; unchanged data are shared.
     """
 
     scene: Scene
@@ -66,8 +71,8 @@ class Twin:
     carried: Mapping[str, tuple[str, ...]]
     absent: frozenset[str] = frozenset()
     base: Twin | None = field(default=None, repr=False)
-    # Caches of this twin alone: placement constraints by the text of their axis; objects to be placed by name, support
-    # and riders; objects at rest by name; and shadows of objects with riders.
+    # Caches that are not shared with derived twins: placement constraints by the JSON text of their axis; objects to be
+    # placed by name, support and riders; objects at rest by name; and shadows of objects with riders.
     constraints: dict[str, PlacementConstraints | ImpossibleError] = field(default_factory=dict, init=False, repr=False)
     placeables: dict[tuple[str, str, tuple[str, ...]], Placeable] = field(default_factory=dict, init=False, repr=False)
     _objects: dict[str, TwinObject] = field(default_factory=dict, init=False, repr=False)
@@ -75,7 +80,12 @@ class Twin:
 
     @classmethod
     def load(cls, path: Path, cache: Cache | None = None) -> Twin:
-        """Load the twin of a scene or task; raises :class:`SpecError`, or :class:`TwinError` if it cannot rest."""
+        """Load a scene or task document as a twin.
+
+        Raises:
+            SpecError: The document is invalid.
+            TwinError: The scene does not come to rest.
+        """
         if isinstance(load(path).spec, TaskSpec):
             task = load_task(path, cache)
             return cls.of(task.scene, task.goal, task.robots)
@@ -83,7 +93,16 @@ class Twin:
 
     @classmethod
     def of(cls, scene: Scene, goal: Condition | None = None, robots: Sequence[str] | None = None) -> Twin:
-        """Settle a lowered scene as a twin; raises :class:`TwinError` if it does not come to rest."""
+        """Create a twin from a lowered scene by settling it.
+
+        Args:
+            scene: The scene.
+            goal: Goal of the task, if any.
+            robots: Names of the robots that act in the task; by default all robots.
+
+        Raises:
+            TwinError: The scene does not come to rest.
+        """
         with MujocoWorld(bare(scene)) as world:
             result = settle(world)
             if not result.at_rest:
@@ -98,17 +117,16 @@ class Twin:
         return cls(scene, state, goal, TwinRobots(scene, acting), MappingProxyType(carried))
 
     def extended(self, objects: Sequence[SceneObject]) -> Twin:
-        """Return the twin with more objects, absent until a layout places them; an object with a known name is
-        replaced.
+        """Return the twin with objects added or replaced.
 
-        A replacement stands at the place of the original, and must be settled by
-        :func:`simfoundry.cousins.layout.acceptance.examine`.
+        An object with an existing name replaces the original at the same pose; the result must then be settled with
+        :func:`simfoundry.cousins.layout.acceptance.examine`. All other objects are absent until a layout places them.
         """
         new = {item.name: item for item in objects}
         known = {item.name for item in self.scene.objects}
         here = tuple(new.get(item.name, item) for item in self.scene.objects)
         absent = [item for item in objects if item.name not in known]
-        # Absent objects keep their orientation: engines start there, and none must meet another.
+        # Absent objects keep their orientation but are moved far apart, because engines start from these poses.
         away = [Pose.of((ELSEWHERE * (1 + len(self.absent) + k), 0.0, 0.0), o.X_WO.q) for k, o in enumerate(absent)]
         more = tuple(replace(item, X_WO=X_WO) for item, X_WO in zip(absent, away, strict=True))
         poses = dict(self.state.poses) | {item.name: item.X_WO for item in more}
@@ -124,11 +142,11 @@ class Twin:
         )
 
     def at(self, state: SceneState) -> Twin:
-        """Return the twin in another state of its scene."""
+        """Return the twin with its scene in a different state."""
         return replace(self, state=state, base=self)
 
     def _is_as_in_base(self, name: str) -> bool:
-        """Return whether an object is unchanged and at the same pose as in the base."""
+        """Return whether an object is the same as in the base twin, in the same state."""
         if self.base is None:
             return False
         item = self.scene.object(name)
@@ -139,14 +157,14 @@ class Twin:
 
     @cached_property
     def judge(self) -> Judge:
-        """The judge of conditions in this scene."""
+        """Judge that evaluates conditions in this scene."""
         from simfoundry.predicates import Judge
 
         return self.base.judge if self.base is not None and self.base.scene is self.scene else Judge(self.scene)
 
     @cached_property
     def world(self) -> MujocoWorld:
-        """MuJoCo world of the scene without its robots; one model for every layout."""
+        """MuJoCo world of the scene without its robots, used for all layouts."""
         if self.base is not None and self.base.scene is self.scene:
             return self.base.world
         return MujocoWorld(bare(self.scene))
@@ -178,30 +196,33 @@ class Twin:
         return own.standing if X_WO is own.X_WO else replace(own.item, X_WO=X_WO)
 
     def shape(self, name: str, X_WO: Pose = IDENTITY) -> Hulls:
-        """Convex parts of an object whose frame is at ``X_WO``."""
+        """Return the convex parts of an object with its frame at ``X_WO``, by default at the origin."""
         own = self[name]
         if X_WO is IDENTITY:
             return own.shape
         return own.placed if X_WO is own.X_WO else own.shape.posed(X_WO)
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
-        """Lowest and highest corner of an object's bounding box in the world [m], shape (3,) each."""
+        """Return the minimum and maximum corners of an object's bounding box in the world [m], shape (3,) each."""
         return self[name].shape.posed(X_WO).bounds()
 
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
-        """Shadow of each link of an object at a pose, in the world."""
+        """Return the shadow of each link of an object at a pose, in the world frame."""
         own = self[name]
         return own.shadows if X_WO is own.X_WO else link_shadows(self.shape(name, X_WO))
 
     def surfaces(self, state: SceneState, absent: Iterable[str] = ()) -> dict[str, VisibleSurface]:
-        """Visible surfaces of all objects in a state, and of the robots in their start configuration."""
+        """Return the visible surfaces of all objects in a state and of the robots in their initial configuration.
+
+        Objects in ``absent`` are omitted.
+        """
         gone = set(absent)
         there = [item.name for item in self.scene.objects if item.name not in gone]
         return {name: self[name].surface.at(state.poses[name]) for name in there} | dict(self.robots.surfaces)
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """Share of each object that the best camera sees in the twin itself; absent objects have no entry."""
+        """Visible fraction of each free object in the twin itself, from the best camera; absent objects are omitted."""
         if self.base is not None:
             return self.base.shares_seen
         if not self.scene.cameras:
@@ -211,13 +232,14 @@ class Twin:
         return MappingProxyType({n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names})
 
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
-        """Return :attr:`state` at rest with some objects moved to other poses."""
+        """Return :attr:`state` with the objects in ``poses`` moved."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
 
     def upright(self, name: str, on: str) -> Pose:
-        """Rotation of an object before it is rotated about z, at the origin: as in the twin if it stands so ``on`` it.
+        """Return the orientation of an object before it is rotated about z to place it, as a pose at the origin.
 
-        An object that leans elsewhere, or lies in a container, is aligned with its own frame and keeps its yaw.
+        If the object is supported only by ``on`` in the twin, this is its orientation in the twin. Otherwise it may be
+        leaning or lying in a container, so its frame is made upright and only its original yaw is preserved.
         """
         if name not in self.absent and self.carried.get(name) == (on,):
             return Pose.of(q=self.state.poses[name].q)
@@ -226,7 +248,7 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """Objects that move along with ``name``: those supported only by it and its other riders, in scene order."""
+        """Return the objects that move along with ``name`` because only it or its other riders support them."""
         if self.base is not None:
             return self.base.riders(name)
         return self._riders.get(name, ())
@@ -244,9 +266,10 @@ class Twin:
 
     @cached_property
     def places(self) -> tuple[Support, ...]:
-        """Levels on which new objects may stand: those of all fixed objects, except the floor under the furniture.
+        """Level surfaces on which new objects can be placed.
 
-        If no fixed object has a level, use those of the object that supports the most others.
+        These are the levels of all fixed objects, except the floor under furniture. If there are none, the largest
+        level of the object that supports the most others is used.
         """
         found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
@@ -257,7 +280,7 @@ class Twin:
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """Shadow of an object together with the riders ``along``, ``upright`` at the origin."""
+        """Return the shadow of an object and the riders ``along`` when the object's frame has the pose ``upright``."""
         if not along:
             return self[name].outline(upright)
         key = (name, tuple(upright.q.tolist()), tuple(along))
@@ -269,16 +292,16 @@ class Twin:
 
     @cached_property
     def ground(self) -> str:
-        """Name of the object that supports the most others; raises :class:`TwinError` if there is none."""
+        """Name of the object that supports the most other objects; raises :class:`TwinError` if there is none."""
         below = [name for found in self.carried.values() for name in found]
         names = [o.name for o in self.scene.objects if o.name in below]
         if not names:
-            raise TwinError(f"no object in `{self.scene.name}` stands on another")
+            raise TwinError(f"no object in `{self.scene.name}` is supported by another object")
         return max(names, key=below.count)
 
     @cached_property
     def task_objects(self) -> tuple[str, ...]:
-        """Objects that the goal is about, in its order."""
+        """Names of the objects in the goal, in order of appearance."""
         if self.goal is None:
             return ()
         names = {o.name for o in self.scene.objects}
@@ -287,7 +310,7 @@ class Twin:
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """Relations stated by the scene that are true in :attr:`state`; those of the base are not evaluated again."""
+        """Relations listed in the scene that hold in :attr:`state`; results for unchanged objects are reused."""
         return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
 
     def _holds(self, text: str) -> bool:
@@ -298,7 +321,7 @@ class Twin:
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
-    """Return whether a level is the floor: far below the ground level and under most of it."""
+    """Return whether a level is the floor, that is, far below the ground level and under most of it."""
     import shapely
 
     if ground.height - level.height < UNDERFOOT:
@@ -308,7 +331,7 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
 
 
 def bare(scene: Scene) -> Scene:
-    """Return the scene that is settled: without robots and without visual-only geometry."""
+    """Return a copy of the scene for settling, without robots and without visuals on links that have colliders."""
     objects = tuple(
         replace(o, links=tuple(replace(k, visuals=() if k.colliders else k.visuals) for k in o.links), variants=())
         for o in scene.objects

@@ -1,4 +1,4 @@
-"""Objects and robots of a twin at their rest poses: cached measures of their shapes, and collision tests."""
+"""Objects and robots in a twin at their rest poses, with cached shape measures and collision tests."""
 
 from __future__ import annotations
 
@@ -27,56 +27,54 @@ if TYPE_CHECKING:
     from simfoundry.robots.reach import ArmReach
 
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
-"""Radius and height [m] of a column that reserves the base of a robot without a model: the foot of a Panda extends
-0.155 m from its axis, those of smaller arms less; no placed object hangs higher over a table.
+"""Radius and height [m] of the column that reserves space for the base of a robot without a model. A Panda's foot
+extends 0.155 m from its axis, and smaller arms have smaller feet; no placed object is higher above a table than this.
 """
 
 
 class TwinRobots:
-    """Robots of a twin in their start configuration, both as obstacles and as arms that reach."""
+    """Robots in a twin in their initial configuration, as obstacles and for reachability tests."""
 
     def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
         self._scene, self.names = scene, names
 
     @cached_property
     def reach(self) -> ArmReach:
-        """Reachability of the acting arms."""
+        """Reachability test for the acting arms."""
         from simfoundry.robots.reach import ArmReach
 
         return ArmReach(self._scene, self.names)
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:
-        """Robots that have a model, as objects."""
+        """The robots that have a model, as objects."""
         bodies = Bodies(self._scene)
         return tuple(bodies[name].item for name in bodies.robots)
 
     @cached_property
     def obstacles(self) -> tuple[SceneObject, ...]:
-        """The robots, each without a model replaced by a column at its base."""
+        """All robots as obstacles; robots without a model are represented by a column at their base."""
         absent = [(left.path.partition(".")[2], left.X_WB) for left in self._scene.left_out if left.X_WB is not None]
         there = {item.name for item in self.items}
         return (*self.items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
 
     @cached_property
     def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
-        """Shadow of each link of each obstacle, in the world."""
+        """Shadow of each link of each obstacle in the world frame, by obstacle name."""
         return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
 
     @cached_property
     def surfaces(self) -> Mapping[str, VisibleSurface]:
-        """Surface of each robot, from its collision geometry because visuals have hundreds of thousands of
-        triangles.
-        """
+        """Surface of each robot, from its collision geometry because visual meshes have too many triangles."""
         bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
         return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
 
 
 @dataclass(frozen=True, eq=False)
 class TwinObject:
-    """An object of a twin at its rest pose, and cached measures of it.
+    """An object in a twin with its rest pose ``X_WO`` and cached shape measures.
 
-    ``item`` has its joints at their rest positions and its frame at the origin.
+    In ``item``, the joints are at their rest positions and the object's frame is at the origin.
     """
 
     item: SceneObject
@@ -86,7 +84,7 @@ class TwinObject:
 
     @cached_property
     def standing(self) -> SceneObject:
-        """Return the object at its pose."""
+        """The object placed at its rest pose."""
         return replace(self.item, X_WO=self.X_WO)
 
     @cached_property
@@ -96,7 +94,7 @@ class TwinObject:
 
     @cached_property
     def placed(self) -> Hulls:
-        """Convex parts of the object at its pose."""
+        """Convex parts of the object at its rest pose."""
         return hulls(self.standing)
 
     @cached_property
@@ -111,38 +109,42 @@ class TwinObject:
 
     @cached_property
     def levels(self) -> tuple[Support, ...]:
-        """Levels on which objects can stand, except those on links that joints move."""
+        """Level surfaces on which objects can stand, excluding those on movable links."""
         return supports_of(self.item.name, self.placed, self.still_links)
 
     @cached_property
     def edges(self) -> list[tuple[float, BaseGeometry]]:
-        """Heights [m] and areas that are level but too narrow to stand on."""
+        """Heights [m] and areas of level surfaces that are too narrow to stand on."""
         return edges_of(self.placed, self.still_links)
 
     def outline(self, upright: Pose) -> Outline:
-        """Shadow of the object, ``upright`` at the origin."""
+        """Return the object's shadow when its frame has the pose ``upright``."""
         key = tuple(upright.q.tolist())
         if key not in self.outlines:
             self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))
         return self.outlines[key]
 
     def support(self, near: float | None) -> Support | None:
-        """Level at the height ``near`` [m], by default the largest; None if the object has no level."""
+        """Return the level surface closest to the height ``near`` [m], or the largest one if ``near`` is None.
+
+        The result is None if the object has no level surfaces.
+        """
         if near not in self.supports:
             self.supports[near] = support_of(self.item.name, self.placed, near)
         return self.supports[near]
 
     @cached_property
     def still_links(self) -> list[int]:
-        """Indices of the links that no joint moves."""
+        """Indices of the links that joints cannot move relative to the root."""
         welded = weld_groups(self.item)
         return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
 
 
 @lru_cache(maxsize=512)
 def _shape(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> Hulls:
-    """Convex parts of an object at the origin, cached because library objects are used in many twins under
-    other names.
+    """Return the convex parts of an object at the origin.
+
+    The result is cached because library objects occur in many twins, under different names.
     """
     return hulls(SceneObject("", "", False, IDENTITY, links, joints))
 
@@ -153,13 +155,13 @@ def _surface(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> VisibleSurfa
 
 
 def link_shadows(shape: Hulls) -> tuple[Outline, ...]:
-    """The shadow of each link of a shape."""
+    """Return the shadow of each link in a shape."""
     links = [shape.of_link(k) for k in dict.fromkeys(shape.link.tolist())]
     return tuple(Outline.of(link) for link in links if len(link.corners))
 
 
 def _column(name: str, X_WB: Pose) -> SceneObject:
-    """Return a column that reserves the base of a robot whose model is missing."""
+    """Return a column that reserves space for the base of a robot whose model is missing."""
     none = frozen_array(np.zeros(3), (3,))
     middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
     collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
@@ -171,8 +173,9 @@ Index = NDArray[np.int64]
 
 
 class Solids:
-    """Collision geometry of objects as MuJoCo geoms, posed by :meth:`put`. MuJoCo neither steps nor places anything
-    here.
+    """Collision geometry of objects as MuJoCo geoms, used only for distance queries.
+
+    Poses are set with :meth:`put`; nothing is simulated.
     """
 
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
@@ -193,7 +196,10 @@ class Solids:
             self.put(item.name, item.X_WO)
 
     def _in_frame(self, item: SceneObject, joints: Mapping[str, float | Pose]) -> tuple[Index, Array, Array]:
-        """Geoms of an object and their poses in its frame: positions (k, 3), rotations (k, 3, 3)."""
+        """Return the geom indices of an object, and the geoms' positions [m] and rotations in the object's frame.
+
+        The shapes are (k,), (k, 3) and (k, 3, 3).
+        """
         ids, p, turned = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
         poses = link_poses(item, joints)
         for link in item.links:
@@ -208,12 +214,14 @@ class Solids:
         return every, np.concatenate(p), np.concatenate(turned)
 
     def put(self, name: str, X_WO: Pose) -> None:
-        """Pose an object; its parts are updated lazily, when they are queried."""
+        """Set the pose of an object; its parts are updated lazily when they are queried."""
         self._waiting[name] = X_WO
 
     def _posed(self, name: str) -> tuple[Array, Array, Array]:
-        """Bounding boxes of the parts: centers [m] (k, 3), rotations (k, 3, 3), radii of their bounding spheres [m]
-        (k,).
+        """Return the bounding boxes of an object's parts in the world frame.
+
+        Returns:
+            Centers [m], shape (k, 3), rotations, shape (k, 3, 3), and bounding sphere radii [m], shape (k,).
         """
         X_WO = self._waiting.pop(name, None)
         if X_WO is None:
@@ -228,7 +236,7 @@ class Solids:
         return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
-        """Return whether two objects overlap or are closer to each other than ``gap`` [m]."""
+        """Return whether two objects overlap or are less than ``gap`` [m] apart."""
         mine, yours = self._own[a][0], self._own[b][0]
         for i, j, _ in self._near(a, b, gap):
             if self._distance(self._model, self._data, mine[i], yours[j], gap + 1e-3, None) < gap:
@@ -236,7 +244,7 @@ class Solids:
         return False
 
     def distance(self, a: str, b: str, far: float) -> float:
-        """Signed distance between two objects [m], negative if they overlap, capped at ``far``."""
+        """Return the signed distance between two objects [m], negative if they overlap, and at most ``far``."""
         mine, yours = self._own[a][0], self._own[b][0]
         best = far
         for i, j, bound in self._near(a, b, far):
@@ -247,8 +255,9 @@ class Solids:
         return float(best)
 
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
-        """Yield pairs of parts whose bounds are closer than ``far``, nearest first, with a lower bound of their
-        distance.
+        """Yield pairs of parts that may be closer than ``far`` [m], each with a lower bound of their distance [m].
+
+        The pairs are sorted by increasing lower bound.
         """
         if not len(self._own[a][0]) or not len(self._own[b][0]):
             return
@@ -269,7 +278,10 @@ class Solids:
 
 
 def _bare(link: Link) -> Link:
-    """The link reduced to its shape: with one surface material for all, the model needs no explicit contact pairs."""
+    """Return the link with its shape only.
+
+    All colliders get the same surface parameters, so the compiled model does not need explicit contact pairs.
+    """
     colliders = tuple(
         replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
     )
@@ -277,6 +289,12 @@ def _bare(link: Link) -> Link:
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:
-    """Distance of points at ``off`` from the box centers to the outside of the boxes [m], (k,)."""
+    """Return the distance of points from boxes [m], shape (k,); points inside a box have distance 0.
+
+    Args:
+        off: Vectors from the box centers to the points [m], shape (k, 3).
+        turn: Rotations of the boxes, shape (k, 3, 3).
+        half: Half extents of the boxes [m], shape (k, 3).
+    """
     outside = np.maximum(np.abs(np.einsum("kij,ki->kj", turn, off)) - half, 0.0)
     return np.asarray(np.sqrt((outside * outside).sum(axis=1)))

@@ -1,4 +1,4 @@
-"""Visibility of objects: the share of an object that is inside a camera's image and not occluded."""
+"""Compute the visibility of objects: the fraction that is inside a camera's image and not occluded."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, SceneObject
 
 SEEN = 0.6
-"""Share of an object that at least one camera must see, or the share seen in the twin if that is smaller."""
+"""Fraction of an object that at least one camera must see; if less is visible in the twin, that fraction suffices."""
 
 CLOSEST = 0.01
 """Near plane of a camera [m]."""
 
 RAYS = 16
-"""Number of rays along each side of an object's rectangle in the image; the share is then accurate to about 3 %."""
+"""Number of rays along each side of an object's rectangle in the image; the result is then accurate to about 3%."""
 
 SEGMENTS = 12
-"""Number of edges around a round shape: the outline's error is at most 3.4 % of the radius, about the rays'
-resolution.
-"""
+"""Number of edges around a round shape; the outline error is at most 3.4% of the radius, about the ray resolution."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisibleSurface:
-    """Visible surface of an object: triangles [m] in its frame S, shape (m, 3, 3), and the pose of S.
+    """The visible surface of an object.
 
-    ``center`` [m] in S, shape (3,), and ``radius`` [m] describe its bounding sphere.
+    Attributes:
+        triangles: Triangles in the surface frame S [m], shape (m, 3, 3).
+        center: Center of the bounding sphere in S [m], shape (3,).
+        radius: Radius of the bounding sphere [m].
+        X_WS: Pose of S in the world.
     """
 
     triangles: Array
@@ -43,9 +45,10 @@ class VisibleSurface:
 
     @classmethod
     def of(cls, item: SceneObject) -> VisibleSurface:
-        """Collect the surface of an object at its joint positions: its visuals, or its colliders if it has none.
+        """Collect the surface of an object at its current joint positions.
 
-        Transparent visuals are left out, since they hide nothing.
+        The surface consists of the visuals, or of the colliders for links without visuals. Transparent visuals are
+        ignored because they do not occlude anything.
         """
         X_OL = link_poses(item)
         found = [np.zeros((0, 3, 3))]
@@ -64,7 +67,7 @@ class VisibleSurface:
         return VisibleSurface(self.triangles, self.center, self.radius, X_WS)
 
     def seen_from(self, camera: Camera) -> Array:
-        """Triangles in the camera's frame [m], shape (m, 3, 3)."""
+        """Return the triangles in the camera frame [m], shape (m, 3, 3)."""
         return (camera.X_WC.inverse() @ self.X_WS).apply(self.triangles)
 
 
@@ -75,7 +78,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """Share of an object's silhouette that lies in a camera's image and is not occluded by other objects."""
+    """Return the fraction of an object's silhouette that is inside a camera's image and not occluded by ``others``."""
     local = thing.seen_from(camera)
     corners = local.reshape(-1, 3)
     ahead = corners[corners[:, 2] > CLOSEST]
@@ -102,12 +105,20 @@ def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[Visibl
 
 
 def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, depth: float) -> Array:
-    """Triangles, in the camera's frame, that may occlude part of a rectangle of the plane z = 1 up to a depth."""
+    """Return the triangles of a surface that may occlude an object, in the camera frame [m], shape (m, 3, 3).
+
+    Args:
+        other: Surface that may be in front of the object.
+        camera: The camera.
+        low: Lower bounds of the object's rectangle in the plane z = 1, shape (2,).
+        high: Upper bounds of the rectangle, shape (2,).
+        depth: Greatest depth of the object [m].
+    """
     x, y, z = camera.X_WC.inverse().apply(other.X_WS.apply(other.center))
     near = max(z - other.radius, CLOSEST)
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))
-    if z > other.radius + CLOSEST:  # entirely in front of the camera: may lie beside the rectangle's cone
+    if z > other.radius + CLOSEST:  # entirely in front of the camera, so it may be outside the rectangle's cone
         for at, k in ((x, 0), (y, 1)):
             is_before = at - low[k] * z < -other.radius * np.hypot(1, low[k])
             is_beyond = at - high[k] * z > other.radius * np.hypot(1, high[k])
@@ -116,7 +127,7 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
     local = other.seen_from(camera)
     z = local[:, :, 2]
     may_hide = (z.min(axis=1) < depth) & (z.max(axis=1) > CLOSEST)
-    whole = z.min(axis=1) > CLOSEST  # triangles that reach behind the camera may cover anything
+    whole = z.min(axis=1) > CLOSEST  # triangles that extend behind the camera may cover anything
     across = local[:, :, :2] / np.where(z > CLOSEST, z, 1.0)[:, :, None]
     apart = (across.max(axis=1) < low).any(axis=1) | (across.min(axis=1) > high).any(axis=1)
     return np.asarray(local[may_hide & ~(whole & apart)])
@@ -125,9 +136,16 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
 def best_view(
     cameras: Sequence[Camera], name: str, surfaces: Mapping[str, VisibleSurface], enough: float = 1.0
 ) -> tuple[str, float]:
-    """Find the camera that sees the largest share of the object ``name``, occluded by the other ``surfaces``.
+    """Find the camera that sees the largest fraction of an object.
 
-    The search ends at the first camera that sees the share ``enough``.
+    Args:
+        cameras: The cameras; there must be at least one.
+        name: Name of the object.
+        surfaces: Surfaces of all objects by name; other objects may occlude this one.
+        enough: Stop at the first camera that sees at least this fraction.
+
+    Returns:
+        The name of the camera and the fraction that it sees.
     """
     others = [surface for other, surface in surfaces.items() if other != name]
     best = (cameras[0].name, -1.0)

@@ -1,4 +1,4 @@
-"""Appearance and plausibility of object categories: tables of colors, materials, sizes and masses."""
+"""Colors, materials, and plausible sizes and masses of object categories, and edits that change the appearance."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class VariantMaterial:
-    """A material: lowest and highest ``density`` [kg/m^3], ``friction``, ``restitution`` and possible colors.
+    """A material for variants.
 
-    Without ``colors`` it takes any color that the object may have.
+    ``density`` is the range of densities [kg/m^3], and ``friction`` and ``restitution`` are coefficients. If ``colors``
+    is empty, the material can have any color that the object may have.
     """
 
     density: tuple[float, float]
@@ -41,10 +42,10 @@ class VariantMaterial:
 
 @dataclass(frozen=True)
 class CategoryPrior:
-    """Priors of one category: ranges of the longest side [m] and the mass [kg], colors, and materials of the body.
+    """Priors for a category: ranges of the longest side [m] and the mass [kg], colors, and materials for the body.
 
-    Densities, sizes and masses are common-knowledge estimates of everyday objects, not measurements; the ranges are
-    wide on purpose.
+    Sizes and masses are common-knowledge estimates for everyday objects, not measurements, so the ranges are
+    intentionally wide.
     """
 
     size: tuple[float, float]
@@ -55,8 +56,15 @@ class CategoryPrior:
 
 @dataclass(frozen=True)
 class Priors:
-    """Tables of ``priors.yaml``: materials and categories by name, synonyms of categories, the generic paint colors,
-    and the patterns by use.
+    """The tables in ``priors.yaml``.
+
+    Attributes:
+        materials: Materials by name.
+        categories: Categories by name.
+        synonyms: Category names by synonym.
+        paints: Colors for objects of unknown category.
+        white: The color white.
+        patterns: Names of patterns, grouped by use.
     """
 
     materials: Mapping[str, VariantMaterial]
@@ -69,7 +77,7 @@ class Priors:
 
 @cache
 def priors() -> Priors:
-    """Load the tables."""
+    """Load the tables from ``priors.yaml``."""
     text = files(__package__).joinpath("priors.yaml").read_text(encoding="utf-8")
     data = yaml.safe_load(text)
     colors = {name: tuple(rgb) for name, rgb in data["colors"].items()}
@@ -113,17 +121,18 @@ def same_kind(a: str, b: str) -> bool:
 
 
 JITTER = 0.035
-"""Maximum deviation from the tables' colors, so that no two paints are identical."""
+"""Maximum random deviation of each channel from the colors in the tables; makes it unlikely that colors are identical.
+"""
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the color of all parts of the body that share its present color."""
+    """Change the color of a component and of all parts of the same link that share its current color."""
     color = _another(spec, component, palette_of(spec), rng)
     return recolored(spec, component, color), f"{component.name} {_shown(color)}"
 
 
 def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the material of the body, with its density, friction and one of its colors."""
+    """Change the material of the body, including its density, friction and color."""
     sort = category_prior(spec.category or spec.name)
     link, part = component.parts[0]
     old = spec.links[link].parts[part].material or spec.links[link].material
@@ -136,7 +145,11 @@ def change_material(spec: AssetSpec, component: Component, rng: Rng) -> Edit | N
 
 
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
-    """Return the asset with the color of a component's first part replaced on all parts of the link that have it."""
+    """Return the asset with a component recolored.
+
+    All parts of the link that have the same color as the component's first part are recolored too, unless the component
+    is of a kind that usually has a separate color.
+    """
     old = color_of(spec, component.parts[0])
     parts = parts_of(spec)
     if component.kind in ACCENTS:
@@ -147,14 +160,14 @@ def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
         if component.kind is Kind.BUNCH and key in component.parts:
             changed[key] = part.model_copy(update={"color": _shaded(color, color_of(spec, key), old)})
             continue
-        # Attached parts with a color of their own keep it.
+        # Attached parts with a different color keep it.
         same = key[0] == component.link and color_of(spec, key) == old
         changed[key] = part.model_copy(update={"color": color}) if same else part
     return _gathered(with_parts(spec, changed), component.link, color)
 
 
 def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
-    """Scale a color's lightness by the ratio of a part's own color to that of the first part."""
+    """Scale a color's lightness by the lightness of a part's own color relative to that of the first part."""
     share = 1.0 if own is None or first is None else float(np.clip(sum(own) / max(sum(first), 0.1), 0.6, 1.4))
     r, g, b = (round(min(v * share, 0.98), 3) for v in color)
     return r, g, b
@@ -172,7 +185,7 @@ def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
 
 
 def color_of(spec: AssetSpec, key: Key) -> Color | None:
-    """Color of a part in a document: its own, its link's, or its material's."""
+    """Return the color of a part: its own color, or else its link's or its material's; None if none is specified."""
     body = spec.links[key[0]]
     part = body.parts[key[1]]
     material = part.material or body.material
@@ -182,7 +195,7 @@ def color_of(spec: AssetSpec, key: Key) -> Color | None:
 
 
 def _remade(spec: AssetSpec, old: str, name: str) -> AssetSpec:
-    """Return the asset with one material replaced everywhere."""
+    """Return the asset with the material ``old`` replaced everywhere with the material ``name`` from the tables."""
     stuff = priors().materials[name]
     made = Material(density=stuff.middle, friction=stuff.friction, restitution=stuff.restitution)
     materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}
@@ -197,20 +210,20 @@ def _remade(spec: AssetSpec, old: str, name: str) -> AssetSpec:
 
 
 def palette_of(spec: AssetSpec) -> tuple[Color, ...]:
-    """Return the colors of an asset's category, or of any paint."""
+    """Return the colors of an asset's category, or all paint colors if the category is unknown."""
     prior = category_prior(spec.category or spec.name)
     return prior.colors if prior is not None else priors().paints
 
 
 def _another(spec: AssetSpec, component: Component, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """Pick a color that is not close to the present one of a component."""
+    """Pick a color that differs clearly from a component's current color, if possible."""
     old = color_of(spec, component.parts[0])
     far = [c for c in palette if old is None or color_gap(c, old) > 0.3] or palette
     return varied(far[int(rng.integers(0, len(far)))], rng)
 
 
 def color_gap(a: Color, b: Color) -> float:
-    """Sum of the differences of two colors in the three channels."""
+    """Return the sum of the absolute differences between two colors over the three channels."""
     return sum(abs(u - v) for u, v in zip(a, b, strict=True))
 
 
@@ -225,11 +238,11 @@ def _shown(color: Color) -> str:
 
 
 ACCENTS = (Kind.HANDLE, Kind.KNOB, Kind.CAP, Kind.BAND)
-"""Kinds of components that have a color of their own."""
+"""Kinds of components that usually have a different color from the body."""
 
 APPEARANCE = (
     (recolor, MAIN),
     (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
     (change_material, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
 )
-"""Edits and the kinds of components that they apply to."""
+"""Edits, and the kinds of components that they apply to."""

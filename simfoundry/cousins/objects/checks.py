@@ -1,4 +1,4 @@
-"""Functional checks of a variant: it must still be able to play the object's part in the tasks of its scene."""
+"""Check that a variant can serve the same functions in the tasks as the twin's object."""
 
 from __future__ import annotations
 
@@ -34,9 +34,13 @@ from simfoundry.worlds.settle import settle
 
 @dataclass(frozen=True, eq=False)
 class Needs:
-    """Requirements on a variant: ``rests`` are the OnTop and Inside calls that involve the object, ``joints`` must
-    move, and ``opening`` [m] is that of the gripper that must grasp it, or None. ``others`` are the other objects in
-    the calls.
+    """The requirements on a variant.
+
+    Attributes:
+        rests: `OnTop` and `Inside` calls that involve the object and must be possible.
+        joints: Names of the joints that must move.
+        opening: Opening of the gripper that must grasp the object [m], or None.
+        others: The other objects in the calls, by name.
     """
 
     rests: tuple[Call, ...] = ()
@@ -46,8 +50,13 @@ class Needs:
 
 
 def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]) -> Needs:
-    """Collect the requirements of the tasks on the object ``name``; without tasks, those of its present role in the
-    scene.
+    """Collect the requirements that tasks impose on an object.
+
+    Args:
+        name: Name of the object.
+        spec: Document of the scene.
+        scene: The lowered scene.
+        tasks: The tasks.
     """
     goals = [goal for task in tasks for goal in (task.goal, *(step.goal for step in task.subtasks.values()))]
     calls = dict.fromkeys(parse_call(text) for goal in goals for text, path in texts(goal) if "not" not in path)
@@ -65,21 +74,26 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
 
 
 SCALE = (0.6, 1.6)
-"""Allowed range of the longest side relative to the twin's, for objects of unknown category."""
+"""Allowed range of the longest side relative to the twin's, if the category is unknown."""
 
 WEIGHT = (0.25, 4.0)
-"""Allowed range of the mass relative to the twin's, for objects of unknown category."""
+"""Allowed range of the mass relative to the twin's, if the category is unknown."""
 
 MARGIN = 0.003
-"""Clearance that a gripper needs in addition to the grasp width [m]."""
+"""Clearance that a gripper requires in addition to the grasp width [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectBaseline:
-    """The lowered twin and its own abilities; variants are held only to those.
+    """The twin's object and the requirements that it meets itself; variants must meet only these.
 
-    ``rests`` are the calls that hold in the twin's own trials, ``lacks`` describes those that do not; ``opening`` [m]
-    is that of the gripper, or None if the twin itself cannot be grasped.
+    Attributes:
+        item: The lowered object.
+        needs: The original requirements.
+        rests: Calls that hold in trials with the twin's object.
+        lacks: Descriptions of requirements that the twin's object does not meet.
+        steady: True if the twin's object stands stably on a table.
+        opening: Opening of the gripper [m], or None if grasping is not required or impossible for the twin's object.
     """
 
     item: SceneObject
@@ -105,13 +119,13 @@ class ObjectBaseline:
         width = grasp_width(solid(item))
         opening = needs.opening
         if opening is not None and width > opening - MARGIN:
-            lacks.append(f"the gripper opens {length(opening)}, but the object is {length(width)} wide")
+            lacks.append(f"the object is {length(width)} wide, but the gripper opens only {length(opening)}")
             opening = None
         return cls(item, needs, tuple(kept), tuple(lacks), steady.passed, opening)
 
 
 def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[Reason]:
-    """Yield the reasons for rejecting a lowered candidate, cheap checks first; nothing if it passes all."""
+    """Yield the reasons for rejecting a lowered candidate, starting with the cheapest checks."""
     yield from _open_meshes(item)
     yield from _size(item, twin.item, category_prior(category))
     if twin.opening is not None:
@@ -119,7 +133,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
         if width > twin.opening - MARGIN:
             fits = math.isfinite(width)
             narrow = f"is {length(width)} wide at its narrowest" if fits else "cannot be grasped anywhere"
-            text = f"it {narrow}, and the gripper opens {length(twin.opening)}"
+            text = f"it {narrow}, but the gripper opens only {length(twin.opening)}"
             yield Reason("grip", text, {"width": min(width, 1e3), "opening": twin.opening})
     jam = moves(item, twin.item) if twin.needs.joints else None
     if jam is not None:
@@ -127,7 +141,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
     if twin.steady:
         outcome = stands(item)
         if not outcome.passed:
-            yield Reason("stands", f"on a table it {outcome.why}")
+            yield Reason("stands", f"on a table, it {outcome.why}")
     for call in twin.rests:
         outcome = rests(call, {**twin.needs.others, item.name: item})
         if not outcome.passed:
@@ -135,7 +149,7 @@ def faults(item: SceneObject, twin: ObjectBaseline, category: str) -> Iterator[R
 
 
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
-    """Check that every surface, visual and collision, is closed and encloses a volume."""
+    """Yield a reason if a visual or collision mesh is not closed or does not enclose a volume."""
     for link in item.links:
         pieces: tuple[Collider | Visual, ...] = (*link.colliders, *link.visuals)
         for piece in pieces:
@@ -150,8 +164,9 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
 
 
 def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> Iterator[Reason]:
-    """Check the longest side, mass and density against the category's ranges, or against the twin's if it is
-    unknown.
+    """Check the longest side, mass and density against the category's ranges.
+
+    If the category is unknown, the ranges are relative to the twin's object.
     """
     low, high = bounds(item)
     side = float((high - low).max())
@@ -175,22 +190,24 @@ TABLE = "trial_table"
 GRAVITY = frozen_array([0.0, 0.0, -9.81])
 
 STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
-"""Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval of the checks [s]."""
+"""Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval between checks [s]."""
 
 OPENED = 0.95
-"""Joint opening during a trial, as a fraction of the range."""
+"""How far joints are opened during a trial, as a fraction of their range."""
 
 STEPS = 9
-"""Number of joint positions sampled to detect jamming."""
+"""Number of positions per joint to test for jamming."""
 
 DEEPEST = 0.001
-"""Links of one object that interpenetrate deeper than this [m] are jammed."""
+"""Penetration depth between links of the same object above which a joint is considered jammed [m]."""
 
 LEAST_RANGE = 0.75
-"""Minimum share of the twin's joint range that a variant keeps."""
+"""Minimum joint range of a variant as a fraction of the twin's joint range."""
 
 TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
-"""Orientations in which an object is put into another: unchanged, rotated by 90 degrees, on end."""
+"""Orientations in which to put an object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
+tilted in two directions.
+"""
 
 
 @dataclass(frozen=True)
@@ -202,7 +219,7 @@ class TrialOutcome:
 
 
 def stands(item: SceneObject) -> TrialOutcome:
-    """Test that an object put on a table stays there and does not topple if it is tilted slightly."""
+    """Test whether an object on a table stays in place and does not topple when tilted slightly."""
     placed = _on_table(item)
     if isinstance(placed, TrialOutcome):
         return placed
@@ -212,15 +229,16 @@ def stands(item: SceneObject) -> TrialOutcome:
 
 
 def rests(call: Call, things: Mapping[str, SceneObject]) -> TrialOutcome:
-    """Test that ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` is released there, in one of a few orientations.
+    """Test whether ``OnTop(a, b)`` or ``Inside(a, b)`` holds after ``a`` is released on or in ``b``.
 
-    ``things`` are ``a`` and ``b`` by name; the joints of ``b`` are opened.
+    A few orientations of ``a`` are tried, and the joints of ``b`` are opened first. ``things`` contains both objects by
+    name.
     """
     a, b = call.args[0], call.args[1].partition(".")[0]
     base = _on_table(_opened(things[b]))
     if isinstance(base, TrialOutcome):
         return base
-    why = f"`{a}` finds no place {'inside' if call.predicate == 'Inside' else 'on'} `{call.args[1]}`"
+    why = f"`{a}` could not be placed {'inside' if call.predicate == 'Inside' else 'on'} `{call.args[1]}`"
     for place in _places(call, base):
         try:
             X_WA = solve(things[a], place, {base.name: base}, None)
@@ -256,12 +274,12 @@ def _let_go(call: Call, a: SceneObject, b: SceneObject) -> TrialOutcome:
             return TrialOutcome(False, str(error))
         tilt = state.poses[b.name].rotation[2, 2]
     if tilt < np.cos(np.radians(5.0)):
-        return TrialOutcome(False, f"`{b.name}` tilted {np.degrees(np.arccos(np.clip(tilt, -1, 1))):.0f} deg under it")
+        return TrialOutcome(False, f"`{b.name}` tilted by {np.degrees(np.arccos(np.clip(tilt, -1, 1))):.0f} deg")
     return TrialOutcome(verdict.value, verdict.why)
 
 
 def _calmed(world: MujocoWorld) -> SceneState:
-    """Simulate until nothing moves any more, for at most :data:`LONGEST` seconds; return the state."""
+    """Simulate until nothing moves anymore, for at most :data:`LONGEST` seconds, and return the state."""
     steps = max(1, round(LOOK / world.timestep))
     for _ in range(round(LONGEST / LOOK)):
         world.step(steps)
@@ -272,17 +290,14 @@ def _calmed(world: MujocoWorld) -> SceneState:
 
 
 def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
-    """Return the reason if a joint no longer moves like the twin's: a reduced range, or a collision along its path.
-
-    None if all joints pass.
-    """
+    """Return a reason if a joint has a much smaller range than the twin's or jams along its path, else None."""
     for joint in item.joints:
         own = next((j for j in twin.joints if j.name == joint.name), None)
         if joint.limits is None or own is None or own.limits is None:
             continue
         span, before = (limits[1] - limits[0] for limits in (joint.limits, own.limits))
         if span < LEAST_RANGE * before:
-            text = f"`{joint.name}` has a range of {span:.3f}, but {before:.3f} in the twin"
+            text = f"`{joint.name}` has a range of {span:.3f}, compared to {before:.3f} in the twin"
             return Reason("joint", text, {"range": span, "twin": before})
     deepest, where = _jam(item)
     if deepest > DEEPEST and deepest > _jam(twin)[0] + 1e-4:
@@ -292,8 +307,9 @@ def moves(item: SceneObject, twin: SceneObject) -> Reason | None:
 
 
 def _jam(item: SceneObject) -> tuple[float, str]:
-    """Deepest penetration between two links of an object [m] over the range of each joint, and the pose where it
-    occurs.
+    """Return the deepest penetration between links of an object [m] over the range of each joint.
+
+    The second value describes the joint position at which it occurs.
     """
     import mujoco
 
@@ -340,7 +356,7 @@ def _scene(*items: SceneObject) -> Scene:
 
 
 def _table() -> SceneObject:
-    """A wide table whose top is at z = 0."""
+    """Return a wide table whose top is at z = 0."""
     box, middle, inertia = Box(frozen_array([3.0, 3.0, 0.1])), frozen_array(np.zeros(3)), frozen_array(np.eye(3))
     visual, collider = Visual("top", box, frozen_array([0.7, 0.7, 0.7, 1.0])), Collider("top", box, 0.5, 0.1)
     link = Link("base", 100.0, middle, inertia, (visual,), (collider,))

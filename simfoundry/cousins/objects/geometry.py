@@ -1,7 +1,7 @@
-"""Geometric edits: stretch an object along its axes, with its parts, link frames and joint travel kept consistent.
+"""Geometric edits, such as stretching an object along its axes.
 
-All links must have the same orientation at rest (no joint rotates its child's frame), as in furniture; otherwise only a
-uniform factor keeps them together.
+Parts, link frames and joint travel are kept consistent. Non-uniform stretching requires that all links have the same
+orientation at rest, as in furniture (no joint rotates its child's frame); other objects are scaled uniformly.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ from simfoundry.spec.models.base import (
 )
 
 SQUARE = 1e-6
-"""Tolerance between a rotation matrix and a permutation for a rotation that maps boxes onto the axes."""
+"""Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes."""
 
 
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
-    """Return the asset with its x, y and z scaled by ``factor``, shape (3,), or by the nearest factor its shapes allow.
+    """Return the asset scaled along x, y and z by ``factor``, shape (3,), or by the nearest factor its shapes allow.
 
-    Parts round about z keep x and y equal and balls stay balls; wall thickness scales with the rest.
+    Parts that are round about z stay round, and balls stay balls. Wall thickness is scaled too.
     """
     f = allowed(spec, factor)
     out = each(spec, lambda _, part: stretched_part(part, f))
@@ -74,7 +74,7 @@ def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
 
 
 def allowed(spec: AssetSpec, factor: Array) -> Array:
-    """Nearest factor to ``factor`` that the shapes of an asset allow, shape (3,)."""
+    """Return the factor nearest to ``factor`` that the shapes in an asset allow, shape (3,)."""
     f = np.array(factor, dtype=np.float64)
     turns = [pose(joint.pose).rotation for joint in spec.joints.values()]
     turned = any(not _is_square(turn) or turn.trace() < 3 - SQUARE for turn in turns)
@@ -86,7 +86,7 @@ def allowed(spec: AssetSpec, factor: Array) -> Array:
 
 
 def stretched_part(part: PartSpec, f: Array) -> PartSpec:
-    """Return a part with the axes of its link scaled by ``f``, shape (3,)."""
+    """Return a part scaled along the axes of its link by ``f``, shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
         return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
@@ -103,7 +103,7 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
 
 
 def _scaled(shape: Shape, f: Array) -> Shape:
-    """Return a shape with its own axes scaled by ``f``, shape (3,)."""
+    """Return a shape scaled along its own axes by ``f``, shape (3,)."""
     x, y, z = (float(v) for v in f)
     across = float(np.sqrt(x * y))
     match shape:
@@ -150,7 +150,7 @@ def is_ball(spec: AssetSpec) -> bool:
 
 
 def _round_about_z(part: PartSpec) -> bool:
-    """Return whether a part would lose its shape if x and y were scaled differently."""
+    """Return whether x and y must be scaled equally to preserve a part's shape."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):
         return rod(part) is None
@@ -159,23 +159,25 @@ def _round_about_z(part: PartSpec) -> bool:
 
 
 def _is_square(rotation: Array) -> bool:
-    """Return whether a rotation maps axes onto axes."""
+    """Return whether a rotation maps coordinate axes onto coordinate axes."""
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
 Edit = tuple[AssetSpec, str]
-"""The changed asset, and a description of the change."""
+"""The changed asset and a description of the change."""
 
 LEAST, MOST = 0.74, 1.36
-"""Range of the stretch factor along each axis; results outside their category are rejected by size and mass."""
+"""Range of the stretch factor along each axis; results with a size or mass implausible for the category are rejected
+later.
+"""
 
 ATTACHED = 0.6
-"""Parts farther from the axis than this share of the body's radius are attached to its wall."""
+"""Parts farther from the axis than this fraction of the body's radius are considered attached to its wall."""
 
 
 def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
-    """Stretch the whole object in length, width and height, including loose links so that they fit."""
-    if is_ball(spec):  # balls of one game differ little
+    """Stretch the entire object, including separate links such as lids, so that everything still fits."""
+    if is_ball(spec):  # balls for the same sport differ little in size
         factor = np.full(3, rng.uniform(0.94, 1.06))
     else:
         factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
@@ -184,16 +186,17 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
 
 
 HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
-"""Factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in shops."""
+"""Ranges of the factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in stores.
+"""
 
 SMALLEST_FOOT = 0.35
-"""Minimum foot radius as a share of the rim's radius; below it the vessel topples when pushed."""
+"""Minimum foot radius as a fraction of the rim radius; vessels with smaller feet topple when pushed."""
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Replace the silhouette of a vessel by one of a family that fits its height, with new sizes, wall and foot."""
+    """Replace a vessel's silhouette with another suitable one, and change its height, width, wall, floor and foot."""
     lathe = lathe_of(spec, component)
-    if lathe is None or len(spec.links) > 1:  # a lid fits the existing rim
+    if lathe is None or len(spec.links) > 1:  # another link, such as a lid, must fit the existing rim
         return None
     key, old = lathe
     if not old.is_hollow:
@@ -217,14 +220,14 @@ def _factor(rng: Rng, between: tuple[float, float]) -> float:
 
 
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the slope of a wall; the rim is unchanged if a lid or another part must fit it."""
+    """Change the slope of a wall; the rim is unchanged if another link, such as a lid, must fit it."""
     foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
 
 
 def belly(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Bulge or waist a wall between foot and rim."""
+    """Make a wall bulge outward or inward between the foot and the rim."""
     by = rng.choice([-1.0, 1.0]) * rng.uniform(0.06, 0.2)
     curve = 1.0 + by * np.sin(np.linspace(0.0, np.pi, 7))
     words = f"{'swelled' if by > 0 else 'waisted'} by {abs(by):.0%}"
@@ -248,14 +251,14 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the sizes of a handle, knob, cap or stem; its attachment point stays in place."""
+    """Change the dimensions of a handle, knob, cap or stem while its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
     out = outward(spec, component)
     if out is None:
         return None
-    # The handle extends from the body: scaled along `out` by the reach and across it by the span.
+    # Scale by the reach along `out`, the direction in which the component protrudes, and by the span across it.
     factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
-    # It is attached at its end opposite to `out`, centered across.
+    # The attachment point is at the end opposite to `out`, centered across it.
     low, high = bounds(parts_in(spec, component))
     anchor = np.where(out > 0, low, np.where(out < 0, high, (low + high) / 2))
     parts = parts_of(spec)
@@ -269,14 +272,18 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile], Profile], words: str) -> Edit | None:
-    """Return the asset with the profile of a component's lathe changed, and all attached parts moved along."""
+    """Return the asset with a component's profile changed and all attached parts moved along.
+
+    The result is None if the component is not a solid of revolution.
+    """
     lathe = lathe_of(spec, component)
     return None if lathe is None else (with_profile(spec, *lathe, change(lathe[1])), words)
 
 
 def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
-    """Return the asset with another profile for one lathe; parts attached to its wall or standing on it are moved
-    along.
+    """Return the asset with the profile of one part replaced.
+
+    Parts that are attached to its wall or located on top of it are moved along.
     """
     parts = parts_of(spec)
     base = at(parts[key])[2]
@@ -288,7 +295,14 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
 
 
 def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float) -> dict[Key, PartSpec]:
-    """Move the parts of one component with the wall that they are attached to."""
+    """Move the parts of a component along with the wall that they are attached to.
+
+    Args:
+        parts: The parts of the component.
+        old: Old profile of the wall.
+        new: New profile of the wall.
+        base: Height of the profile's frame in the link [m].
+    """
     if not parts:
         return {}
     low, _ = bounds(list(parts.values()))
@@ -313,7 +327,7 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
         elif off > ATTACHED * float(old.radius(p[2] - base)):
             way = np.array([p[0], p[1], 0.0]) / off
             own = delta(part)
-            if is_radial(part) and size is not None:  # it extends from the wall, which moved by `own`, to the grip
+            if is_radial(part) and size is not None:  # a post from the wall, which moved by `own`, to the grip
                 part = with_rod(part, size[0], max(size[1] + together - own, 0.002))
                 out[key] = moved(part, p + way * (own + together) / 2 + rise)
             else:
@@ -339,4 +353,4 @@ GEOMETRY = (
     (thicken, (Kind.VESSEL,)),
     (resize, (Kind.HANDLE, Kind.KNOB, Kind.STEM, Kind.CAP)),
 )
-"""Edits and the kinds of components that they apply to."""
+"""Edits, and the kinds of components that they apply to."""

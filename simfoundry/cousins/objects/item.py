@@ -1,4 +1,4 @@
-"""The object to be varied, as an asset document (whatever its form in the scene) and as a lowered object."""
+"""Convert an object to be varied to an asset document, whatever its form in the scene, and lower it."""
 
 from __future__ import annotations
 
@@ -22,17 +22,21 @@ from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, variant_names, v
 from simfoundry.spec.yaml.write import to_yaml
 
 LINK = "body"
-"""Name of the only link of a shape or mesh."""
+"""Name of the single link in the asset of a shape or mesh."""
 
 _OF_BODY = tuple(BodySpec.model_fields)
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectAsset:
-    """An object as an asset: a flat ``spec``, and the absolute path of every file that it names in ``files``.
+    """An object as an asset.
 
-    ``name`` is that of the object in its scene, or of the asset; ``category`` is its kind; ``source`` is a
-    human-readable origin.
+    Attributes:
+        name: Name of the object in its scene, or of the asset.
+        category: Category of the object.
+        spec: Flattened asset document.
+        source: Human-readable origin.
+        files: Absolute paths of all files that the document refers to, by the names used in it.
     """
 
     name: str
@@ -43,10 +47,10 @@ class ObjectAsset:
 
 
 def item_of(scene: Loaded, name: str) -> ObjectAsset:
-    """Return the object ``name`` of a checked scene document; a KeyError lists the existing names."""
+    """Return the object ``name`` in a validated scene document; raise KeyError if it does not exist."""
     assert isinstance(scene.spec, SceneSpec)
     if name not in scene.spec.objects:
-        raise KeyError(f"no object {name!r}; there are: {', '.join(scene.spec.objects) or 'none'}")
+        raise KeyError(f"no object {name!r}; available objects: {', '.join(scene.spec.objects) or 'none'}")
     written = scene.spec.objects[name]
     if variant_names(written):
         written = variant_of(written, written.variant or "default")
@@ -59,7 +63,7 @@ def item_of(scene: Loaded, name: str) -> ObjectAsset:
 
 
 def item_of_asset(asset: Loaded) -> ObjectAsset:
-    """Return the object that a checked asset document describes."""
+    """Return the object described by a validated asset document."""
     spec = asset.spec
     assert isinstance(spec, AssetSpec)
     meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
@@ -69,7 +73,15 @@ def item_of_asset(asset: Loaded) -> ObjectAsset:
 
 
 def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> ObjectAsset:
-    """Return a mesh file as an object with one part."""
+    """Return an object that consists of a single mesh file.
+
+    Args:
+        path: Path of the mesh file.
+        name: Name of the object.
+        category: Category of the object.
+        material: Material of the object.
+        scale: Scale factor from the mesh's unit to meters.
+    """
     link = LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})
     spec = AssetSpec(
         simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
@@ -78,7 +90,7 @@ def item_of_mesh(path: Path, name: str, category: str, material: Material, scale
 
 
 def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> ObjectAsset:
-    """Return a primitive or mesh of a scene as an asset with one link."""
+    """Return a primitive or mesh in a scene as an asset with one link."""
     body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
     files: dict[str, Path] = {}
     if written.shape is not None:
@@ -100,10 +112,18 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapp
 
 
 def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:
-    """Lower the object ``name`` at the origin, as simulators receive it; ``folder`` holds the files that the spec
-    names.
+    """Lower an asset at the origin, as simulators receive it.
 
-    The canonical text is lowered, so that the checked document equals the written one. Raises :class:`SpecError`.
+    The asset is converted to its canonical text first, so the result matches the document that is written.
+
+    Args:
+        spec: The asset.
+        folder: Folder that contains the files that the asset refers to.
+        name: Name of the lowered object.
+        cache: Cache for lowering.
+
+    Raises:
+        SpecError: The asset is invalid.
     """
     file = f"{spec.name}.asset.yaml"
     asset = load(folder / file, text=to_yaml(spec), root=folder)
@@ -117,14 +137,14 @@ def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None
 
 
 def alone(item: ObjectAsset, cache: Cache | None = None) -> SceneObject:
-    """Lower an object at the origin, with its files copied to a temporary folder."""
+    """Lower an object at the origin, using a temporary folder for its files."""
     with TemporaryDirectory(prefix="simfoundry-alone-") as folder:
         lay(item.files, Path(folder))
         return lowered(item.spec, Path(folder), item.name, cache)
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:
-    """Copy mesh files into a folder under their given names, each with its materials and textures."""
+    """Copy mesh files to a folder under the given names, along with their materials and textures."""
     for name, path in files.items():
         target = folder / name
         if target.exists():

@@ -1,4 +1,7 @@
-"""Smooth mesh deformations: the mapping of points is one-to-one, so that closed meshes stay closed."""
+"""Deform meshes smoothly, and replace handles with swept tubes.
+
+The deformations map points one-to-one, so closed meshes stay closed.
+"""
 
 from __future__ import annotations
 
@@ -35,13 +38,22 @@ from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 
 FOLDER = "meshes"
-"""Folder for the meshes of variants, beside their documents."""
+"""Folder for the meshes of variants, next to their documents."""
 
 
 def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """Deform all meshes of an asset alike; return the new spec, the new files by name, and a description of the change.
+    """Apply the same random deformation to all meshes of an asset.
 
-    Raises :class:`MeshError` for a mesh with several textures, which one OBJ cannot hold.
+    Args:
+        spec: The asset.
+        files: Paths of the asset's mesh files by name.
+        rng: Random generator.
+
+    Returns:
+        The new spec, the new files by name, and a description of the change.
+
+    Raises:
+        MeshError: A mesh has several textures, but an OBJ file can have only one.
     """
     factor = np.exp(rng.uniform(np.log(0.88), np.log(1.15), 3))
     taper, belly = rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)
@@ -54,9 +66,9 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
     for key, part in meshes.items():
         piece = joined(read[key])
         if piece is None:
-            message = f"{part.mesh} has several textures, which one OBJ cannot hold"
+            message = f"{part.mesh} has several textures, but an OBJ file can have only one"
             raise MeshError("SF301", message, "merge them into one image")
-        # x and y are scaled by a smooth positive function of the height, and z by a constant: its Jacobian is positive.
+        # x and y are scaled by a smooth positive function of z, and z by a constant, so the Jacobian is positive.
         share = (piece.vertices[:, 2] - low) / (high - low)
         vertices = piece.vertices * factor
         vertices[:, :2] *= (1 + taper * (share - 0.5) + belly * np.sin(np.pi * share))[:, None]
@@ -72,16 +84,20 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
 
 
 def mesh_files(mesh: Mesh) -> tuple[str, dict[str, bytes]]:
-    """Return the name of a mesh's OBJ, and its files by name, all below :data:`FOLDER`."""
+    """Return the name of a mesh's OBJ file and the content of all its files by name, all in :data:`FOLDER`."""
     files = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
     return next(iter(files)), files
 
 
 def strips(rings: NDArray[np.integer]) -> NDArray[np.int32]:
-    """Return the triangles between adjacent rings of vertices, given by their indices, shape (rings, n).
+    """Return the triangles between adjacent rings of vertices.
 
-    The result has the shape (rings - 1, 2, n - 1, 3): in each strip, those with two corners on its first ring come
-    first.
+    Args:
+        rings: Indices of the vertices, shape (rings, n).
+
+    Returns:
+        Indices of the triangles' corners, shape (rings - 1, 2, n - 1, 3). In each strip, the triangles with two corners
+        on its first ring come first.
     """
     a, b, c, d = rings[:-1, :-1], rings[:-1, 1:], rings[1:, 1:], rings[1:, :-1]
     return np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=1).astype(np.int32)
@@ -97,20 +113,21 @@ def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
 
 
 RINGS, AROUND = 33, 14
-"""Number of rings along a tube's path and of corners per ring: facets of 2 mm on a mug's handle, hidden by shading."""
+"""Number of rings along a tube's path, and number of corners per ring. On a mug's handle, this gives facets of 2 mm,
+which shading hides.
+"""
 
 COLLIDERS = 7
-"""Number of capsules for a tube's collision geometry; on a half circle of 30 mm radius they deviate from it by
-0.8 mm.
+"""Number of capsules in a tube's collision geometry; they deviate by 0.8 mm from a half circle with a radius of 30 mm.
 """
 
 SUNK = 0.004
-"""Extension of a tube's axis into the body [m], so that its end meets an inclined or curved wall all around. Points
-that would protrude on the other side are pulled back into the wall.
+"""Length [m] by which a tube's axis extends into the body, so that its entire end is inside an inclined or curved wall.
+Points that would protrude on the other side are pulled back into the wall.
 """
 
 IN_WALL = 0.5
-"""Share of a wall's thickness that the ends of a handle extend into."""
+"""Fraction of a wall's thickness that the ends of a handle penetrate."""
 
 LOOK = "handle_look"
 """Name of the visual part; the collision parts are capsules."""
@@ -118,9 +135,15 @@ LOOK = "handle_look"
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A bar on two posts: its attachment points ``feet`` [m], shape (2, 3), the unit vector ``out`` along which it
-    protrudes, the distance of its axis, ``reach`` [m], and the ``radius`` of the bar [m]. ``wall`` is the profile of
-    the solid of revolution and its height [m] in the link, or None if the handle is on another body.
+    """A loop handle that consists of a bar on two posts.
+
+    Attributes:
+        feet: Attachment points of the posts [m], shape (2, 3).
+        out: Unit vector along which the handle protrudes, shape (3,).
+        reach: Distance of the bar's axis from the feet [m].
+        radius: Radius of the bar [m].
+        wall: Profile of the solid of revolution that the handle is attached to, and the height of its frame in the link
+            [m]; None if the handle is attached to another kind of body.
     """
 
     feet: Array
@@ -131,11 +154,11 @@ class Loop:
 
     @classmethod
     def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
-        """Return the loop formed by a component of rods; None for any other component, such as a knob or two lugs."""
+        """Return the loop formed by a component's rods, or None if the component is not a loop, such as a knob."""
         own = parts_in(spec, component)
         rods = [(part, size) for part in own if (size := rod(part)) is not None]
         wall = _wall(spec, component.link)
-        # From the axis of a solid of revolution, else along the nearest axis.
+        # The handle protrudes radially from a solid of revolution, and along a coordinate axis from any other body.
         middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
         off = float(np.linalg.norm(middle))
         out = middle / off if wall is not None and off > 1e-3 else outward(spec, component)
@@ -151,11 +174,11 @@ class Loop:
 
     @property
     def sunk(self) -> float:
-        """Depth by which the ends may extend into the body [m]."""
+        """Maximum depth by which the ends extend into the body [m]."""
         return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
 
     def outside(self, points: Array) -> Array:
-        """Return points [m], shape (n, 3), with those deeper than the middle of the wall moved out to it."""
+        """Return points [m], shape (n, 3), with those deeper inside the wall than :attr:`sunk` moved outward."""
         if self.wall is None:
             return points
         profile, base = self.wall
@@ -174,11 +197,16 @@ def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
 
 
 def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """Replace the loop handles of an asset by smooth tubes of one sampled form; return the spec, new files and a
-    description.
+    """Replace the loop handles of an asset with smooth tubes, all of which have the same random form.
 
-    ``only`` names the components that may change, by default all. Handles of one asset are alike. Without a loop
-    handle, the asset is unchanged and the text is empty.
+    Args:
+        spec: The asset.
+        only: Names of the components that may change; empty to allow all components.
+        rng: Random generator.
+
+    Returns:
+        The new spec, the new files by name, and a description of the change. If there are no loop handles, the spec is
+        unchanged and the description is empty.
     """
     name = list(FORMS)[int(rng.integers(len(FORMS)))]
     broad, flat = rng.uniform(0.95, 1.5), rng.uniform(0.8, 1.05)
@@ -198,7 +226,7 @@ def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, di
 
 
 def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Evenly spaced points along the axis of a tube [m], shape (RINGS, 3), from one foot to the other."""
+    """Return evenly spaced points along a tube's axis from one foot to the other [m], shape (RINGS, 3)."""
     t = np.linspace(0.0, 1.0, 201)
     along, off = form(t)
     start, end = loop.feet - SUNK * loop.out
@@ -209,8 +237,13 @@ def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
 
 
 def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
-    """Closed tube along a planar path, with an elliptic cross section: ``broad`` across the plane and ``flat`` in it
-    [m].
+    """Return a closed tube with an elliptical cross section along a planar path.
+
+    Args:
+        path: Points along the axis [m], shape (n, 3).
+        loop: The handle that the tube replaces.
+        broad: Semi-axis of the cross section perpendicular to the plane of the path [m].
+        flat: Semi-axis of the cross section in the plane of the path [m].
     """
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -218,7 +251,7 @@ def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
     across /= np.linalg.norm(across)
     inward = np.cross(tangent, across)
     angle = np.arange(AROUND) * (2 * np.pi / AROUND)
-    # Slightly broader at its feet, where a potter would press it on.
+    # The tube is slightly thicker at its feet, where a potter would press it onto the body.
     thick = 1 + 0.25 * np.abs(np.linspace(-1, 1, len(path))) ** 4
     rings = path[:, None] + thick[:, None, None] * (
         broad * np.cos(angle)[:, None] * across + flat * np.sin(angle)[:, None] * inward[:, None]
@@ -235,8 +268,8 @@ def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
 
 
 def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, radius: float, mesh: str) -> AssetSpec:
-    """Replace the rods of a handle by capsules along a path and a visual mesh."""
-    # The round ends of the first and last capsule extend no deeper into the body than the tube.
+    """Replace the rods of a handle with capsules along a path and a visual mesh."""
+    # Shorten the chain so that the round ends of the outer capsules extend no deeper into the body than the tube.
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     short = SUNK + max(radius - loop.sunk, 0.0)
     spots = np.linspace(short, way[-1] - short, COLLIDERS + 1)
@@ -256,18 +289,18 @@ def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, ra
 
 
 def _square(t: Array) -> tuple[Array, Array]:
-    """Superellipse: nearly straight along the grip, with round corners."""
+    """Return a superellipse, which is nearly straight along the grip and has round corners."""
     c, s = np.cos(np.pi * t), np.sin(np.pi * t)
     return (1 - np.sign(c) * np.abs(c) ** 0.5) / 2, np.abs(s) ** 0.5
 
 
 def _ear(t: Array) -> tuple[Array, Array]:
-    """Ear shape: farther out near the end."""
+    """Return an ear shape, which protrudes farther near its end."""
     return (1 - np.cos(np.pi * t)) / 2, 1.05 * np.sin(np.pi * t) * (0.62 + 0.38 * t**1.5) / 0.84
 
 
 def _ring(t: Array) -> tuple[Array, Array]:
-    """More than half a circle, bulging beyond its feet."""
+    """Return more than half a circle, which bulges beyond its feet."""
     angle = np.pi * (1.3 * t - 0.15)
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 
@@ -276,12 +309,12 @@ FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "half-round": lambda t: ((1 - np.cos(np.pi * t)) / 2, np.sin(np.pi * t)),
     "square": _square,
     "ear-shaped": _ear,
-    # Farther out near the beginning.
+    # Protrudes farther near its beginning.
     "drop-shaped": lambda t: (1 - _ear(1 - t)[0], _ear(1 - t)[1]),
     "ring-shaped": _ring,
-    # Straight out, then curved back to the other foot.
+    # Runs straight outward and then curves back to the other foot.
     "strap": lambda t: (t**1.6, np.sin(np.pi * t**0.6) ** 0.8),
 }
-"""Tube paths by name: functions of the path parameter that give the position between the feet and the distance out,
-each from 0 to 1.
+"""Tube paths by name. Each function maps the path parameter, from 0 to 1, to the normalized position between the feet
+and the normalized outward distance.
 """

@@ -1,6 +1,6 @@
-"""Edits of an asset document at the level of parts, each of which returns a new document, and functional components.
+"""Edit the parts of an asset document, and identify its functional components.
 
-Components (body, handles, lid, drawers) are found by names, joints and geometry.
+Each edit returns a new document. Components (body, handles, lid, drawers) are identified by names, joints and geometry.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from simfoundry.spec.models.base import (
 )
 
 Key = tuple[str, str]
-"""Identifier of a part: the names of its link and of itself."""
+"""Identifier of a part: the name of its link and the name of the part."""
 
 Parts = Mapping[Key, PartSpec]
 
@@ -39,12 +39,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
-    """Return every part of every link."""
+    """Return the parts of all links by key."""
     return {(link, name): part for link, body in spec.links.items() for name, part in body.parts.items()}
 
 
 def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
-    """Return the spec with exactly these parts, each in its link, in the given order."""
+    """Return the spec with its parts replaced by the given parts, in the given order."""
     links = {
         name: link.model_copy(update={"parts": {p: part for (owner, p), part in parts.items() if owner == name}})
         for name, link in spec.links.items()
@@ -58,7 +58,10 @@ def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetS
 
 
 def with_added(spec: AssetSpec, link: str, added: Mapping[str, PartSpec], but: Iterable[Key] = ()) -> AssetSpec:
-    """Return the spec with parts added to a link, under numbered names if these are taken, and without some others."""
+    """Return the spec with parts added to a link and the parts ``but`` removed.
+
+    Added parts whose names are taken get numbered names.
+    """
     parts = {key: part for key, part in parts_of(spec).items() if key not in but}
     names = [name for owner, name in parts if owner == link]
     return with_parts(spec, parts | {(link, free_name(name, names)): part for name, part in added.items()})
@@ -70,17 +73,17 @@ def moved(part: PartSpec, xyz: Array) -> PartSpec:
 
 
 def shaped(part: PartSpec, shape: Shape) -> PartSpec:
-    """Return the part with another shape."""
+    """Return the part with its shape replaced."""
     return part.model_copy(update={"shape": shape})
 
 
 def at(part: PartSpec) -> Array:
-    """Position of the part's frame in the link [m], shape (3,)."""
+    """Return the position of the part's frame in the link [m], shape (3,)."""
     return np.array(part.pose.xyz)
 
 
 def aimed(xyz: Array, direction: Array) -> PoseSpec:
-    """Pose at ``xyz`` [m] whose z axis points along ``direction``."""
+    """Return a pose at ``xyz`` [m] whose z axis points along ``direction``."""
     x, y, z = (float(v) for v in direction)
     pitch, yaw = math.degrees(math.atan2(math.hypot(x, y), z)), math.degrees(math.atan2(y, x))
     if abs(pitch) < 1e-9:
@@ -89,17 +92,17 @@ def aimed(xyz: Array, direction: Array) -> PoseSpec:
 
 
 def axis_of(part: PartSpec) -> Array:
-    """Unit vector along the part's own z axis in the link's frame, shape (3,)."""
+    """Return the part's z axis as a unit vector in the link frame, shape (3,)."""
     return pose(part.pose).rotation[:, 2]
 
 
 def is_level(direction: Array) -> bool:
-    """Return whether a direction lies in the x-y plane."""
+    """Return whether a direction is horizontal, that is, in the x-y plane."""
     return abs(float(direction[2])) < 1e-3
 
 
 def rod(part: PartSpec) -> tuple[float, float] | None:
-    """Radius and length [m] of a cylinder or capsule, excluding caps; None for any other part."""
+    """Return the radius and length [m] of a cylinder or capsule, excluding caps, or None for any other part."""
     match part.shape:
         case CylinderShape(cylinder=size) | CapsuleShape(capsule=size):
             return size.radius, size.height
@@ -107,24 +110,25 @@ def rod(part: PartSpec) -> tuple[float, float] | None:
 
 
 def cylinder(radius: float, height: float) -> CylinderShape:
-    """Return a cylinder [m]."""
+    """Return a cylinder with the given radius and height [m]."""
     return CylinderShape(cylinder=Round(radius=float(radius), height=float(height)))
 
 
 def capsule(radius: float, height: float) -> CapsuleShape:
-    """Return a capsule [m]; its height excludes the caps."""
+    """Return a capsule with the given radius and height [m]; the height excludes the caps."""
     return CapsuleShape(capsule=Round(radius=float(radius), height=float(height)))
 
 
 def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
-    """Return a cylinder or capsule with other sizes [m]."""
+    """Return a cylinder or capsule part with different dimensions [m]."""
     return shaped(part, (cylinder if isinstance(part.shape, CylinderShape) else capsule)(radius, height))
 
 
 def corners(part: PartSpec) -> Array:
-    """Points on the part's surface in the link's frame [m], shape (k, 3), whose bounds equal or approximate the part's.
+    """Return points on the part's surface in the link frame [m], shape (k, 3).
 
-    A mesh is represented by its origin only, because its file is not read.
+    The bounds of the points equal or approximate the part's bounds. A mesh is represented only by its origin, because
+    its file is not read.
     """
     return pose(part.pose).apply(_own_corners(part.shape))
 
@@ -159,7 +163,7 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
 
 
 def bounds(parts: Iterable[PartSpec]) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of the bounding box of parts of one link, shapes (3,)."""
+    """Return the minimum and maximum corners [m] of the bounding box of parts in one link, shape (3,) each."""
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)
 
@@ -172,17 +176,17 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
 # -- components --------------------------------------------------------------------------------------------------------
 
 SLIM = 0.012
-"""Maximum radius of a rod that protrudes from the body for it to be part of a handle [m]."""
+"""Maximum radius [m] of a protruding rod that can be part of a handle."""
 
 TOUCH = 0.003
-"""Maximum distance between the bounding boxes of parts of one handle [m]."""
+"""Maximum distance [m] between the bounding boxes of parts that belong to the same handle."""
 
 MANY = 5
-"""Minimum number of equal balls that form a bunch."""
+"""Minimum number of balls in a bunch."""
 
 
 class Kind(StrEnum):
-    """The purpose of a component."""
+    """The function of a component."""
 
     VESSEL = "vessel"  # solid of revolution with a cavity
     TURNED = "turned"  # solid of revolution without a cavity
@@ -199,11 +203,11 @@ class Kind(StrEnum):
     STEM = "stem"
     CAP = "cap"
     BASE = "base"
-    PLATE = "plate"  # a surface to put objects on, such as the burners of a stove
+    PLATE = "plate"  # a surface to put objects on, such as a stove's burners
 
 
 MAIN = (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)
-"""Kinds that a body can have."""
+"""Kinds of component that a body can be."""
 
 WORDS = {
     Kind.HANDLE: ("handle", "grip", "post", "bail", "lug", "tab"),
@@ -222,7 +226,7 @@ BOARDS = {"floor", "bottom", "front", "back", "left", "right", "side", "wall"}
 
 @dataclass(frozen=True)
 class Component:
-    """A component and its parts, all of which belong to one link."""
+    """A component and its parts, all of which belong to the same link."""
 
     name: str
     kind: Kind
@@ -230,7 +234,7 @@ class Component:
 
     @property
     def link(self) -> str:
-        """Link to which the parts belong."""
+        """Name of the link that the parts belong to."""
         return self.parts[0][0]
 
 
@@ -240,7 +244,7 @@ def parts_in(spec: AssetSpec, component: Component) -> list[PartSpec]:
 
 
 def lathe_of(spec: AssetSpec, component: Component) -> tuple[Key, Profile] | None:
-    """Key and profile of the component's solid of revolution, the highest if there are several."""
+    """Return the key and profile of the component's tallest solid of revolution, or None if there is none."""
     lathes = [
         (key, Profile.of(part.shape))
         for key, part in zip(component.parts, parts_in(spec, component), strict=True)
@@ -250,7 +254,10 @@ def lathe_of(spec: AssetSpec, component: Component) -> tuple[Key, Profile] | Non
 
 
 def outward(spec: AssetSpec, component: Component) -> Array | None:
-    """Signed axis along which a component protrudes from the rest of its link, shape (3,)."""
+    """Return the signed coordinate axis along which a component protrudes from the rest of its link, shape (3,).
+
+    The result is None if the component does not protrude.
+    """
     body = [p for n, p in spec.links[component.link].parts.items() if (component.link, n) not in component.parts]
     if not body:
         return None
@@ -266,9 +273,9 @@ def outward(spec: AssetSpec, component: Component) -> Array | None:
 
 
 def components(spec: AssetSpec) -> tuple[Component, ...]:
-    """Find the components of an asset: for each link its body, followed by the attached components.
+    """Find the components of an asset: the body of each link, followed by the components attached to it.
 
-    Names are unique: ``body``, ``drawer``, ``drawer_handle``, ``handle_2``.
+    The names are unique, for example ``body``, ``drawer``, ``drawer_handle`` and ``handle_2``.
     """
     found: list[Component] = []
     taken: dict[str, int] = {}
@@ -294,7 +301,7 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
 
 
 def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
-    """Kind of a part that is attached to the body, or None if it belongs to the body."""
+    """Return the kind of a part that is attached to the body, or None if the part belongs to the body."""
     words = set(re.split(r"[_\d]+", key[1])) - {""}
     if len(own) == 1:
         return None
@@ -316,7 +323,7 @@ def _is_slim(part: PartSpec) -> bool:
 
 
 def _moving(spec: AssetSpec, link: str) -> Kind | None:
-    """Kind of a link according to the joint that moves it."""
+    """Return the kind of a link that a joint moves, or None if the link is not moved by a joint."""
     joint = next((j for j in spec.joints.values() if j.child == link), None)
     if joint is None:
         return None
@@ -340,7 +347,7 @@ def _main_kind(parts: list[PartSpec], keys: list[Key]) -> Kind:
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """Group the keys of touching parts; only handles consist of several parts."""
+    """Group parts into components. Parts of a handle are grouped if they touch; other parts are not grouped."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

@@ -1,4 +1,4 @@
-"""Procedural variants: rules that edit random components of an object."""
+"""Generate procedural variants by applying rules to random components of an object."""
 
 from __future__ import annotations
 
@@ -28,30 +28,37 @@ RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
 TOGETHER: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": ((stretch, MAIN),), "topology": (), "appearance": ((recolor, MAIN),)}
 )
-"""Rules that change meshes and shapes consistently, for objects whose visual geometry is a mesh and whose collision
+"""Rules that keep meshes and shapes consistent, for objects whose visual geometry is a mesh and whose collision
 geometry consists of shapes.
 """
 
 SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
-"""Probability that a variant differs in each allowed dimension; always in shape, or it would be a recolored copy."""
+"""Probability that a variant differs in each allowed dimension. If the geometry may vary, it always does, because the
+variant could otherwise be a recolored copy.
+"""
 
 WEIGHTS: Mapping[Rule, float] = MappingProxyType({reshape: 16.0})
-"""Weight of a rule relative to the others (1): three vessels of four get another silhouette."""
+"""Weights of rules relative to the default of 1. With these, three of four vessels get a different silhouette."""
 
 SKINNED = 0.7
-"""Probability that a variant whose appearance may change gets a pattern; shops sell plain objects too."""
+"""Probability that a variant whose appearance may change gets a pattern; many real objects are plain."""
 
 ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
-"""Components of which an object has several equal ones: an edit of one is applied to all."""
+"""Kinds of components that usually look the same on one object; an edit of one is applied to all."""
 
 TRIES = 8
-"""Maximum number of inapplicable rules tried before giving up."""
+"""Maximum number of rules to try before giving up if none applies."""
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A candidate whose spec has no estimated masses and no final name yet, with the new ``files`` that it names, those
-    kept from the twin, and a human-readable list of what was ``changed``.
+    """A candidate without estimated masses and without a final name.
+
+    Attributes:
+        spec: The asset document.
+        changed: Human-readable list of changes.
+        files: Content of new files by the names used in the document.
+        kept: Paths of the twin's files that the document still uses.
     """
 
     spec: AssetSpec
@@ -61,9 +68,13 @@ class Draft:
 
 
 def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: Rng) -> Draft:
-    """Generate a candidate that differs in some of ``changes``, in the components named in ``only`` (by default any).
+    """Generate a candidate; the same generator state produces the same draft.
 
-    The same generator state gives the same draft.
+    Args:
+        item: The twin's object.
+        changes: Dimensions in which the candidate may differ.
+        only: Names of the components that may change; empty to allow all components.
+        rng: Random generator.
     """
     spec, said = item.spec, list[str]()
     files: dict[str, bytes] = {}
@@ -91,15 +102,17 @@ def draft(item: ObjectAsset, changes: Sequence[str], only: Sequence[str], rng: R
 
 
 def _is_mixed(spec: AssetSpec) -> bool:
-    """Return whether some parts are meshes and others shapes, which usually are visual and collision geometry."""
+    """Return whether an asset contains both meshes and shapes, which are usually visual and collision geometry."""
     return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 
 def _finished(
     spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
-    """Apply the final edits, which no rule can follow (tubular handles, patterns); return the asset, files and
-    descriptions.
+    """Apply tubular handles and patterns, after which rules can no longer be applied.
+
+    Returns:
+        The asset, the new files by name, and descriptions of the changes.
     """
     files: dict[str, bytes] = {}
     said: list[str] = []
@@ -115,7 +128,11 @@ def _finished(
 def _edit(
     spec: AssetSpec, rules: Sequence[tuple[Rule, tuple[Kind, ...]]], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, str, Rule] | None:
-    """Apply one random rule to one random component and those equal to it; None if no drawn rule applies."""
+    """Apply a random rule to a random component and to similar components.
+
+    Returns:
+        The asset, a description of the change, and the rule; None if none of the rules that were tried applies.
+    """
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]
     weights = np.array([WEIGHTS.get(rule, 1.0) for rule, _ in choices])
@@ -138,5 +155,5 @@ def _edit(
 
 
 def rng_of(seed: int, name: str, k: int) -> np.random.Generator:
-    """Return the generator for candidate ``k`` of the object ``name``."""
+    """Return the random generator for candidate ``k`` of the object ``name``."""
     return np.random.default_rng([seed, k, *name.encode()])

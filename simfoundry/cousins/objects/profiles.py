@@ -1,6 +1,4 @@
-"""Profiles of solids of revolution: their edits, and families of silhouettes for vessels with walls of even
-thickness.
-"""
+"""Profiles of solids of revolution: edits, and silhouettes for vessels with walls of uniform thickness."""
 
 from __future__ import annotations
 
@@ -16,28 +14,32 @@ from simfoundry.spec.models.base import LatheShape
 Rng = np.random.Generator
 
 HOLLOW = 0.12
-"""Minimum depth of a cavity as a share of the height."""
+"""Minimum depth of a cavity as a fraction of the height."""
 
 LEVELS = 5
-"""Minimum number of rings of a curved wall; each band between rings becomes convex parts."""
+"""Minimum number of bands in a curved wall; each band is split into convex parts."""
 
 FLAT, LOW, WIDE = 0.4, 0.8, 1.4
-"""Upper limits of the ratio of height to rim radius for dishes, bowls and pots; above the last, a vessel is a cup."""
+"""Maximum ratios of height to rim radius for dishes, bowls and pots; vessels above the last limit are cups."""
 
 THINNEST = 0.0015
 """Minimum wall thickness [m]."""
 
 KEPT_WALL = 0.6
-"""Minimum share of its thickness that a wall keeps when curved: a third less still looks like the same ware."""
+"""Minimum fraction of a wall's thickness that must remain after curving it; a wall thinned by a third still looks
+plausible.
+"""
 
 FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Shares of a curve's deviation from a straight line that are tried in order, the full curve first."""
+"""Fractions of a curve's deviation from a straight line to try, in this order."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A profile as two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
-    and ``inner`` from the rim down to the axis, shape (m, 2), which for a solid body is its flat or domed top.
+    """The profile of a solid of revolution as two chains of points (radius, height) [m].
+
+    ``outer`` runs from the axis at the foot up to the rim, shape (k, 2). ``inner`` runs from the rim down to the axis,
+    shape (m, 2); for a solid body, it is the flat or domed top.
     """
 
     outer: Array
@@ -45,7 +47,7 @@ class Profile:
 
     @classmethod
     def of(cls, shape: LatheShape) -> Profile:
-        """Split the profile of a shape into its chains."""
+        """Split the profile of a shape into its two chains."""
         rings = np.array(shape.lathe.profile)
         if rings[0, 1] > rings[-1, 1]:
             rings = rings[::-1]
@@ -54,19 +56,19 @@ class Profile:
 
     @property
     def shape(self) -> LatheShape:
-        """Return the profile as a shape of the spec."""
+        """The profile as a shape for an asset document."""
         rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
         kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
         return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
 
     @property
     def foot(self) -> float:
-        """Lowest height [m]."""
+        """Height of the lowest point [m]."""
         return float(self.outer[:, 1].min())
 
     @property
     def rim(self) -> float:
-        """Greatest height [m]."""
+        """Height of the rim [m]."""
         return float(self.outer[-1, 1])
 
     @property
@@ -91,7 +93,10 @@ class Profile:
 
     @property
     def thinnest(self) -> float:
-        """Minimum distance from a corner of the inside to the outside [m]; a plate's is not at its rim."""
+        """Minimum distance from a corner of the inner chain to the outer chain [m].
+
+        This can be less than the thickness at the rim, for example for a plate.
+        """
         a, b = self.outer[:-1], self.outer[1:]
         way = b - a
         points = self.inner[:, None, :] - a
@@ -100,7 +105,7 @@ class Profile:
         return float(np.linalg.norm(apart, axis=2).min())
 
     def radius(self, height: Array | float) -> Array:
-        """Outer radius [m] at the given heights [m]."""
+        """Return the outer radius [m] at the given heights [m]."""
         rings = self.outer[1:] if len(self.outer) > 1 else self.outer
         order = np.argsort(rings[:, 1], kind="stable")
         return np.asarray(np.interp(height, rings[order, 1], rings[order, 0]))
@@ -115,11 +120,14 @@ def _finer(chain: Array, gap: float) -> Array:
 
 
 def swelled(profile: Profile, grow: Array) -> Profile:
-    """Scale the body's outer radius by a smooth curve; the inside moves with the outside.
+    """Scale the outer radius of a body by a curve, and move the inside along with the outside.
 
-    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), interpolated linearly. On a wall that
-    leans far out, such as a plate's, a curve is a steep step that would thin the wall: there the curve is flattened
-    between its ends until the wall keeps :data:`KEPT_WALL` of its thickness.
+    On a wall that is almost horizontal, such as a plate's, a curve would thin the wall. The curve is then flattened
+    until at least the fraction :data:`KEPT_WALL` of the thickness remains.
+
+    Args:
+        profile: The profile.
+        grow: Factors at equal steps from the foot to the rim, interpolated linearly, shape (k,).
     """
     straight = np.linspace(grow[0], grow[-1], len(grow))
     made = profile
@@ -132,12 +140,12 @@ def swelled(profile: Profile, grow: Array) -> Profile:
 
 def _swelled(profile: Profile, grow: Array) -> Profile:
     fine, gap = profile, profile.height / LEVELS
-    if len(grow) > 2:  # long walls get more rings so that they can bend
+    if len(grow) > 2:  # add rings to long walls so that they can bend
         fine = Profile(_finer(fine.outer, gap), _finer(fine.inner, gap) if fine.is_hollow else fine.inner)
     steps = np.linspace(0.0, 1.0, len(grow))
-    # The whole section, including the edge that joins its chains, gets a ring wherever a chain or the curve bends. All
-    # points at one height then move by the same distance, inside and outside, so edges that did not cross before cannot
-    # cross afterwards.
+    # Add a ring to both chains, including the edge that connects them, wherever a chain or the curve bends. All points
+    # at the same height then move by the same distance, inside and outside, so edges that do not cross beforehand
+    # cannot cross afterward.
     bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
     inner = np.concatenate([fine.outer[-1:], fine.inner])
     outer = fine.outer
@@ -153,7 +161,7 @@ def _swelled(profile: Profile, grow: Array) -> Profile:
 
 
 def flared(profile: Profile, out: float, band: float) -> Profile:
-    """Bend the rim outward by ``out`` [m] over the topmost ``band`` [m]."""
+    """Bend the rim outward by ``out`` [m], starting ``band`` [m] below it."""
     at = profile.rim - band
 
     def delta(heights: Array) -> Array:
@@ -164,7 +172,10 @@ def flared(profile: Profile, out: float, band: float) -> Profile:
 
 
 def thickened(profile: Profile, more: float) -> Profile:
-    """Thicken the wall and the floor inward by ``more`` [m], or thin them; a wall keeps :data:`THINNEST`."""
+    """Thicken the wall and the floor inward by ``more`` [m], or thin them if it is negative.
+
+    The wall never becomes thinner than :data:`THINNEST`.
+    """
     more = max(more, THINNEST - profile.wall)
     inner = profile.inner.copy()
     on_wall = inner[:, 0] > 0
@@ -175,7 +186,7 @@ def thickened(profile: Profile, more: float) -> Profile:
 
 
 def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
-    """Raise the body by ``up`` [m] onto a narrower ring foot, ``inset`` [m] inside its old foot."""
+    """Raise the body by ``up`` [m] and add a ring foot whose radius is ``inset`` [m] less than the old foot's."""
     radius = float(profile.outer[1, 0]) - inset
     lift = np.array([0.0, up])
     foot = np.array([[0.0, profile.foot], [radius, profile.foot], [radius, profile.foot + up]])
@@ -183,7 +194,7 @@ def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
 
 
 def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
-    """Shift radii by ``delta`` [m], a function of the heights [m]; points on the axis stay there."""
+    """Shift radii by ``delta`` [m], a function of the heights [m]; points on the axis are unchanged."""
     chains = profile.outer.copy(), profile.inner.copy()
     for chain in chains:
         by, off = delta(chain[:, 1]), chain[:, 0] > 0
@@ -192,7 +203,7 @@ def _shifted(profile: Profile, delta: Callable[[Array], Array]) -> Profile:
 
 
 def _ring_at(chain: Array, height: float) -> Array:
-    """Return the chain with a ring inserted where it passes through a height [m]."""
+    """Return the chain with points inserted where it crosses a height [m]."""
     out = [chain[0]]
     for a, b in pairwise(chain):
         if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
@@ -204,13 +215,16 @@ def _ring_at(chain: Array, height: float) -> Array:
 # -- silhouettes -------------------------------------------------------------------------------------------------------
 
 POINTS = 13
-"""Number of rings of a curved wall: a bulge of 10 % of a cup's radius then deviates from its chords by under 0.1 mm."""
+"""Number of rings in a curved wall; for a bulge of 10% of a cup's radius, the chords then deviate by less than 0.1 mm.
+"""
 
 Form = Callable[[Array, Rng], Array]
-"""Normalized profile: outer radius between foot (0) and rim (1) at heights between foot (0) and rim (1), both (k,)."""
+"""Normalized profile: function that maps heights from 0 (foot) to 1 (rim), shape (k,), to outer radii that are scaled
+so that the foot is 0 and the rim is 1, shape (k,).
+"""
 
 Forms = dict[str, tuple[tuple[float, float], Form]]
-"""Forms by name: range of the foot radius as a share of the rim's, and the profile between them."""
+"""Forms by name: range of the foot radius as a fraction of the rim radius, and the normalized profile."""
 
 
 def forms_of(slender: float) -> Forms:
@@ -223,7 +237,15 @@ def forms_of(slender: float) -> Forms:
 
 
 def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Array:
-    """Points (radius, height) [m] of an outer wall from foot to rim, shape (k, 2), evenly spaced along the wall."""
+    """Return points (radius, height) on an outer wall from foot to rim [m], shape (POINTS, 2), evenly spaced.
+
+    Args:
+        form: Normalized profile.
+        foot: Foot radius [m].
+        rim: Rim radius [m].
+        height: Height of the rim above the foot [m].
+        rng: Random generator for the form.
+    """
     t = np.linspace(0.0, 1.0, 101)
     wall = np.column_stack([foot + (rim - foot) * form(t, rng), t * height])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wall, axis=0), axis=1))])
@@ -232,10 +254,15 @@ def outside(form: Form, foot: float, rim: float, height: float, rng: Rng) -> Arr
 
 
 def walled(outside: Array, wall: float, floor: float) -> Profile | None:
-    """Hollow profile with an outer wall [m], shape (k, 2), from foot to rim, and an inner one offset by ``wall`` [m].
+    """Return a hollow profile with a rounded rim and a level floor.
 
-    The rim is rounded, and the inside ends on a level ``floor`` [m]. None if the wall bends more sharply than its
-    thickness allows.
+    Args:
+        outside: Outer wall from foot to rim [m], shape (k, 2).
+        wall: Wall thickness [m].
+        floor: Height of the inner floor [m].
+
+    Returns:
+        The profile, or None if the wall bends too sharply for its thickness.
     """
     from shapely.geometry import Polygon
 
@@ -263,20 +290,20 @@ def _straight(t: Array, _: Rng) -> Array:
 
 
 def _rounded(t: Array, rng: Rng) -> Array:
-    """Quarter ellipse at the bottom, straight above."""
+    """Return a quarter ellipse at the bottom with a straight wall above."""
     bend = rng.uniform(0.3, 0.6)
     return np.asarray(np.sqrt(1 - np.clip(1 - t / bend, 0.0, 1.0) ** 2))
 
 
 def _shouldered(t: Array, rng: Rng) -> Array:
-    """Two straight walls with a smooth step between them."""
+    """Return two straight walls with a smooth step between them."""
     at, soft = rng.uniform(0.3, 0.6), rng.uniform(0.05, 0.1)
     step = 1 / (1 + np.exp(-(t - at) / soft))
     return np.asarray((step - step[0]) / (step[-1] - step[0]))
 
 
 def _rimmed(t: Array, rng: Rng) -> Array:
-    """Well with a wide rim that rises slightly."""
+    """Return a well with a wide, slightly rising rim."""
     at = rng.uniform(0.5, 0.7)
     well, rim = np.clip(t / at, 0.0, 1.0), np.clip((t - at) / (1 - at), 0.0, 1.0)
     share = rng.uniform(0.35, 0.5)
@@ -284,7 +311,7 @@ def _rimmed(t: Array, rng: Rng) -> Array:
 
 
 def _quarter(t: Array) -> Array:
-    """Quarter circle."""
+    """Return a quarter circle."""
     return np.asarray(np.sqrt(np.clip(1 - (1 - t) ** 2, 0.0, 1.0)))
 
 
@@ -311,7 +338,7 @@ BOWLS: Forms = {
 DISHES: Forms = {
     "coupe": ((0.5, 0.62), lambda t, rng: t ** rng.uniform(0.45, 0.65)),
     "rimmed": ((0.5, 0.62), _rimmed),
-    # Nearly flat, with an edge that turns up.
+    # Nearly flat, with an upturned edge.
     "edged": ((0.62, 0.72), lambda t, rng: np.clip(t / rng.uniform(0.45, 0.6), 0.0, 1.0) ** 0.9),
     "conical": ((0.5, 0.64), _straight),
 }

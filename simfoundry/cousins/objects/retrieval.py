@@ -1,7 +1,8 @@
-"""Distance between objects in size, shape and color, used to keep variants distinct and to retrieve similar objects.
+"""Measure the similarity of objects in size, shape and color.
 
-Shape is measured by D2, the distribution of distances between surface points relative to the largest of them (Osada et
-al., Shape Distributions, ACM ToG 2002), color by CIE 1976 L*a*b*.
+This is used to keep variants distinct and to retrieve similar objects from a library. Shapes are compared by their D2
+descriptor, the distribution of distances between pairs of surface points (Osada et al., Shape Distributions, ACM ToG
+2002), here relative to the diagonal of the bounding box. Colors are compared in CIE 1976 L*a*b*.
 """
 
 from __future__ import annotations
@@ -33,24 +34,29 @@ from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 
 PAIRS, BINS = 16_384, 24
-"""Number of pairs of surface points, and of histogram bins; the noise of the shape distance is then below 0.02."""
+"""Number of surface point pairs and number of histogram bins; the noise of the shape distance is then below 0.02."""
 
 SEGMENTS = 32
 
 LEVELS = 12
-"""Number of levels per texture channel; finer levels give too many colors to match."""
+"""Number of levels per texture channel; with finer levels, there would be too many colors to match."""
 
 SIZE, SHAPE, COLOR = 0.06, 0.06, 12.0
-"""Thresholds for distinct objects: 6 % in side length, 0.06 in shape (share of point pairs in other bins), or 12 in
-L*a*b* color, five times the just noticeable difference (Mahy et al., 1994).
+"""Thresholds for distinct objects: 6% in side length, 0.06 in shape (fraction of point pairs in different bins), or 12
+in L*a*b* color, which is five times the just noticeable difference (Mahy et al., 1994).
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """Descriptor of an object: ``size`` [m] along x, y, z, shape (3,); ``shape``, a histogram of point pairs by
-    distance, shape (24,), with sum 1; ``colors`` of visible surfaces in L*a*b*, shape (k, 3), with ``areas`` as shares,
-    shape (k,); ``mass`` [kg].
+    """Descriptor of an object for similarity comparisons.
+
+    Attributes:
+        size: Extents along x, y and z [m], shape (3,).
+        shape: Normalized histogram of distances between surface points, shape (BINS,).
+        colors: Colors of visible surfaces in L*a*b*, shape (k, 3).
+        areas: Fraction of the surface area that has each color, shape (k,).
+        mass: Mass [kg].
     """
 
     size: Array
@@ -68,7 +74,13 @@ class Likeness:
 
 @dataclass(frozen=True)
 class LikenessDistance:
-    """``size``: logarithm of the largest ratio of two sides; ``shape``: between 0 and 1; ``color``: in L*a*b*."""
+    """The distance between two descriptors.
+
+    Attributes:
+        size: Logarithm of the largest ratio between corresponding side lengths.
+        shape: Distance between the shape histograms, from 0 to 1.
+        color: Mean color distance in L*a*b*.
+    """
 
     size: float
     shape: float
@@ -76,12 +88,12 @@ class LikenessDistance:
 
     @property
     def form(self) -> float:
-        """Larger of the size and shape distances, in units of the thresholds for distinct objects; color is ignored."""
+        """The larger of the size and shape distances, in units of the thresholds for distinct objects."""
         return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
 
     @property
     def distance(self) -> float:
-        """Largest of the three distances in units of the thresholds; objects are distinct from 1 on."""
+        """The largest of the three distances in units of the thresholds; objects are distinct if it is at least 1."""
         return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
@@ -89,7 +101,10 @@ class LikenessDistance:
 
 
 def likeness(item: SceneObject, seed: int = 0) -> Likeness:
-    """Compute the descriptor of an object at its current joint positions; ``seed`` determines the sampled points."""
+    """Compute the descriptor of an object at its current joint positions.
+
+    ``seed`` determines the surface points that are sampled.
+    """
     triangles, rgb = _surface(item)
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
@@ -109,7 +124,10 @@ def likeness(item: SceneObject, seed: int = 0) -> Likeness:
 
 
 def color_distance(a: Likeness, b: Likeness) -> float:
-    """Mean distance in L*a*b* between equal shares of two surfaces, matched greedily from the closest colors."""
+    """Return the mean color distance in L*a*b* between two surfaces.
+
+    Equal fractions of the surfaces are matched greedily, starting with the closest colors.
+    """
     cost = np.linalg.norm(a.colors[:, None] - b.colors[None], axis=2)
     left, right = a.areas.copy(), b.areas.copy()
     total = 0.0
@@ -140,7 +158,7 @@ def _points(triangles: Array, areas: Array, rng: np.random.Generator) -> Array:
 
 
 def _surface(item: SceneObject) -> tuple[Array, Array]:
-    """Visible triangles in the object's frame, shape (n, 3, 3), and their sRGB colors, shape (n, 3)."""
+    """Return the visible triangles in the object's frame [m], shape (n, 3, 3), and their sRGB colors, shape (n, 3)."""
     X_OL = link_poses(item)
     triangles, colors = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
     for link in item.links:
@@ -153,7 +171,7 @@ def _surface(item: SceneObject) -> tuple[Array, Array]:
 
 
 def _tints(mesh: Mesh) -> Array:
-    """Quantized texture color at the center of each triangle; white without a texture, shape (n, 3)."""
+    """Return the quantized texture color at the center of each triangle, shape (n, 3); white without a texture."""
     if mesh.texture is None or mesh.uv is None:
         return np.ones((len(mesh.faces), 3))
     import io
@@ -168,29 +186,31 @@ def _tints(mesh: Mesh) -> Array:
 
 
 LEAST, MOST = 0.5, 2.0
-"""Range of factors by which a library object is scaled to the twin's size."""
+"""Range of the factor by which a library object can be scaled to match the twin's size."""
 
 STRANGER = 3.0
-"""Additional distance of objects of another category, in the units of :attr:`LikenessDistance.distance`."""
+"""Additional distance for objects in a different category, in the units of :attr:`LikenessDistance.distance`."""
 
 USUAL = Material(density=700.0, friction=0.5, restitution=0.1)
-"""Material of a mesh if the twin does not state one."""
+"""Material for meshes if the twin does not specify one."""
 
 
 @dataclass(frozen=True, eq=False)
 class VariantEntry:
-    """An object of a library and its descriptor."""
+    """A library object and its descriptor."""
 
     item: ObjectAsset
     likeness: Likeness
 
 
 class VariantLibrary:
-    """The assets of a folder (documents, and mesh files, whose category is the name of their folder) as a source of
-    candidates, in order of similarity to the twin.
+    """A source of candidates that returns the objects in a folder, most similar to the twin first.
 
-    ``left_out`` are the unusable files, each with the reason. Raises :class:`SimfoundryError` if the folder does not
-    exist.
+    The folder may contain asset documents and mesh files. A mesh takes its category from the name of its top-level
+    folder. ``left_out`` maps the paths of unusable files to the reasons.
+
+    Raises:
+        SimfoundryError: The folder does not exist.
     """
 
     def __init__(self, folder: Path, cache: Cache | None = None, scale: float = 1.0) -> None:
@@ -210,9 +230,14 @@ class VariantLibrary:
                     self.entries.append(VariantEntry(item, likeness(found)))
 
     def ranked(self, item: ObjectAsset, like: Likeness) -> list[tuple[float, float, VariantEntry]]:
-        """Return the entries from most to least similar: distance, scale factor to the twin's size, and the entry.
+        """Return the entries from most to least similar, excluding the twin's own asset.
 
-        The twin itself, identified by its document, is excluded.
+        Args:
+            item: The twin's object.
+            like: Descriptor of the twin's object.
+
+        Returns:
+            Tuples of the distance, the factor that scales the entry to the twin's size, and the entry.
         """
         found = []
         for entry in self.entries:
@@ -227,27 +252,27 @@ class VariantLibrary:
         return sorted(found, key=itemgetter(0))
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``: the next entry each time it is this source's turn."""
+        """Return candidate ``k``, which is generated from the next most similar entry."""
         if item.name not in self._ranked:
             self._ranked[item.name] = self.ranked(item, likeness(alone(item)))
         ranked = self._ranked[item.name]
         place = k // len(axis.sources)
         if place >= len(ranked):
             count = len(ranked)
-            text = f"the library has {count} objects besides the twin, but entry {place + 1} is requested"
+            text = f"the library contains only {count} objects besides the twin, but entry {place + 1} was requested"
             return Reason("library", text, {"entries": float(count), "place": float(place)})
         away, factor, entry = ranked[place]
         if not same_kind(entry.item.category, item.category):
             text = f"the next library entry, `{entry.item.name}`, is a {entry.item.category}, not a {item.category}"
             return Reason("kind", text, {"distance": away})
         spec = stretched(entry.item.spec, np.full(3, factor))
-        words = f"{entry.item.source} of the library, scaled by {factor:.2f}, at distance {away:.1f}"
+        words = f"{entry.item.source} from the library, scaled by {factor:.2f}, at distance {away:.1f}"
         spec = spec.model_copy(update={"description": None, "origin": None})
         return Draft(spec, (words,), kept=entry.item.files)
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the contents of a library: the SHA-256 of each file by its path in the folder, sorted."""
+    """Return the SHA-256 hash of each file in a library folder, by relative path and in sorted order."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
@@ -265,6 +290,6 @@ def _read(path: Path, folder: Path, scale: float) -> ObjectAsset:
 
 
 def _name(text: str) -> str:
-    """Convert a file's name to an object name: ``025_mug`` becomes ``mug``."""
+    """Convert a file name to an object name: ``025_mug`` becomes ``mug``."""
     kept = "".join(c if c.isalnum() and c.isascii() else "_" for c in text.lower()).strip("_0123456789-")
     return kept or "thing"

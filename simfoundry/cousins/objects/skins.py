@@ -1,4 +1,4 @@
-"""Skins: patterns baked into textures, applied as visual-only meshes to the parts of a component."""
+"""Skins: patterns that are baked into textures and applied to a component's parts as visual-only meshes."""
 
 from __future__ import annotations
 
@@ -27,24 +27,32 @@ from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 PIXELS = 192
-"""Side length of a pattern [px]: 1.3 mm per pixel around a mug, and 20 to 60 kB as PNG."""
+"""Width and height of a texture [px]; gives a resolution of 1.3 mm around a mug, and PNG files of 20 to 60 kB."""
 
 AROUND = 64
-"""Number of sides of a solid of revolution; its chords then deviate from the circle by 0.1 % of the radius."""
+"""Number of sides of a solid of revolution; the chords then deviate from the circle by 0.1% of the radius."""
 
 
 Field = NDArray[np.float64]
-"""Values in [0, 1], shape (PIXELS, PIXELS), from top to bottom: for a pattern, the share of the second color."""
+"""Values in [0, 1] from top to bottom, shape (PIXELS, PIXELS); for a pattern, the fraction of the second color."""
 
 Pattern = Callable[[Field, Field, Rng], Field]
-"""A field at u (around) and v (up), both in [0, 1]; it is periodic in u."""
+"""Function that evaluates a pattern at u (around) and v (up), both in [0, 1]; periodic in u."""
 
 
 def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
-    """Apply a pattern to one of the main components; return the spec, the new files and a description of the pattern.
+    """Apply a random pattern to one of the main components.
 
-    The original parts remain as collision geometry and keep their mass. If no part can be textured, the asset is
-    unchanged and the text is empty.
+    The original parts remain as collision geometry and keep their mass.
+
+    Args:
+        spec: The asset.
+        only: Names of the components that may change; empty to allow all components.
+        rng: Random generator.
+
+    Returns:
+        The new spec, the new files by name, and a description of the pattern. If no part can be textured, the spec is
+        unchanged and the description is empty.
     """
     found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
     found = [c for c in found if not _is_chain(parts_in(spec, c))]
@@ -80,22 +88,22 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
 
 
 SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
-"""Kinds of components that get a pattern; berries and the layers of a burger do not."""
+"""Kinds of components that can get a pattern; excludes berries and the layers of a burger."""
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
-    """Return whether parts are several rods, as in a banana, where a pattern per rod would show the seams."""
+    """Return whether the parts are several rods, as in a banana, for which separate patterns would have seams."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
 def _patterns(text: str) -> list[str]:
-    """Return the patterns that suit a material and category, of which ``text`` contains the words."""
+    """Return the names of patterns that suit a material and category, both of which are named in ``text``."""
     styles: list[dict[str, list[str]]] = priors().patterns["styles"]
     return next(style["patterns"] for style in styles if any(word in text for word in style.get("words", [""])))
 
 
 def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng) -> Color:
-    """Choose the second color of a pattern: a shade of the first for natural materials, else a contrasting one."""
+    """Choose a pattern's second color: a darker shade of the first for natural patterns, else a contrasting color."""
     if is_natural:
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
@@ -105,7 +113,11 @@ def _second(base: Color, is_natural: bool, palette: tuple[Color, ...], rng: Rng)
 
 
 def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
-    """Draw a PNG: a pattern in the lower two thirds, and a plain color above for insides and edges."""
+    """Draw a texture with a pattern in the lower two thirds and a plain color above for insides and edges.
+
+    Returns:
+        The texture as PNG data.
+    """
     from PIL import Image
 
     u, v = np.meshgrid((np.arange(PIXELS) + 0.5) / PIXELS, 1 - (np.arange(PIXELS) + 0.5) / PIXELS)
@@ -118,19 +130,25 @@ def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
 
 
 PAINTED = 0.66
-"""Share of a texture's height that the pattern takes."""
+"""Fraction of a texture's height that contains the pattern."""
 
 PLAIN = 0.83
-"""Texture coordinate at which the texture is plain."""
+"""Vertical texture coordinate at which the texture has a plain color."""
 
 
 # -- surfaces ---------------------------------------------------------------------------------------------------------
 
 
 def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
-    """Convert a shape to a closed mesh with the image on its visible surfaces; None if the shape is not supported.
+    """Convert a shape to a closed mesh with an image on its visible surfaces.
 
-    ``around`` is true if the image is made to go around an axis, even on flat objects such as plates.
+    Args:
+        shape: The shape.
+        image: The texture as PNG data.
+        around: True if the pattern wraps around the axis, even on flat objects such as plates.
+
+    Returns:
+        The mesh, or None if the shape is not supported.
     """
     match shape:
         case LatheShape():
@@ -154,9 +172,11 @@ def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
 
 
 def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
-    """Revolve a profile about z. A low vessel has the image on its inside, from center to rim; a bowl or higher vessel
-    on its outside, from bottom to rim; the rest is plain. On the inside, an image that is not made to go ``around`` is
-    projected flat, as seen from above.
+    """Revolve a profile about z and apply an image to it.
+
+    Plates and bowls have the image on the inside, from the center to the rim. All objects except plates have it on the
+    outside, from the bottom to the rim. Other surfaces are plain. On the inside, the image is projected from above
+    unless its pattern wraps ``around`` the axis.
     """
     outer, inner = profile.outer, profile.inner
     widest = float(outer[:, 0].max())
@@ -167,7 +187,7 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
     x, y = rings[:, :1] * np.cos(angle), rings[:, :1] * np.sin(angle)
     vertices = np.stack([x, y, np.repeat(rings[:, 1:], AROUND + 1, axis=1)], axis=2)
     vertices[:, -1] = vertices[:, 0]
-    skip = int(outer[0, 0] < 1e-9 and outer[1, 1] - outer[0, 1] < 1e-6)  # a level bottom is not visible
+    skip = int(outer[0, 0] < 1e-9 and outer[1, 1] - outer[0, 1] < 1e-6)  # skip a level bottom, which is not visible
     up = np.full(len(outer), PLAIN) if slender < FLAT else PAINTED * _shares(outer, skip)
     down = PAINTED * (1 - _shares(back, 0)) if slender < LOW else np.full(len(back), PLAIN)
     uv = np.stack(np.broadcast_arrays(angle / (2 * np.pi), np.concatenate([up, down])[:, None]), axis=2).copy()
@@ -175,13 +195,13 @@ def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
         uv[len(outer) :] = (np.stack([x, y], axis=2)[len(outer) :] / (2 * widest) + 0.5) * [1.0, PAINTED]
     faces = strips(np.arange(len(rings) * (AROUND + 1)).reshape(len(rings), -1))
     off_axis = rings[:, 0] > 1e-9
-    faces[~off_axis[1:], 0, :, 2] -= 1  # on the axis, the two triangles of a square become one
+    faces[~off_axis[1:], 0, :, 2] -= 1  # on the axis, the two triangles of a quadrilateral merge into one
     every = faces[np.column_stack([off_axis[:-1], off_axis[1:]])].reshape(-1, 3)
     return Mesh(frozen_array(vertices.reshape(-1, 3)), every, frozen_array(uv.reshape(-1, 2)), image)
 
 
 def _shares(chain: Array, skip: int) -> Array:
-    """Arc length of the points of a chain, normalized from 0 at the point ``skip`` to 1, shape (k,)."""
+    """Return the arc lengths of the points on a chain, normalized to run from 0 at point ``skip`` to 1, shape (k,)."""
     if not len(chain):
         return np.zeros(0)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
@@ -189,7 +209,7 @@ def _shares(chain: Array, skip: int) -> Array:
 
 
 def _box(size: Array, image: bytes) -> Mesh:
-    """Box with the image on each of its faces."""
+    """Return a box with the image on each face."""
     vertices: list[Array] = []
     uv: list[Array] = []
     faces: list[tuple[int, int, int]] = []
@@ -212,7 +232,7 @@ def _box(size: Array, image: bytes) -> Mesh:
 
 
 def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
-    """Convex prism with the image on its sides and plain ends."""
+    """Return a convex prism with the image on its sides and plain ends, or None if the outline is not convex."""
     edges = np.roll(outline, -1, axis=0) - outline
     after = np.roll(edges, -1, axis=0)
     turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
@@ -252,19 +272,19 @@ def _checks(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _rim(_: Field, v: Field, rng: Rng) -> Field:
-    """One band below the rim, with a thin line under it."""
+    """Paint a band below the rim, with a thin line under it."""
     low = rng.uniform(0.7, 0.85)
     return np.asarray((v > low) | (np.abs(v - low + 0.06) < 0.014), dtype=np.float64)
 
 
 def _dipped(u: Field, v: Field, rng: Rng) -> Field:
-    """Lower part in another glaze, with an uneven edge."""
+    """Paint the lower part in a different glaze with an uneven edge."""
     edge = rng.uniform(0.3, 0.6) + 0.04 * _wave(u, rng)
     return _soft(edge - v, 0.0, 60.0)
 
 
 def _drips(u: Field, v: Field, rng: Rng) -> Field:
-    """Glaze that ran down from the rim."""
+    """Paint glaze that has run down from the rim."""
     run = 0.25 + 0.18 * np.abs(_wave(u, rng)) + 0.1 * np.abs(np.sin(np.pi * int(rng.integers(5, 9)) * u))
     return _soft(v - 1 + run, 0.0, 60.0)
 
@@ -276,19 +296,19 @@ def _zigzag(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _streaks(u: Field, v: Field, rng: Rng) -> Field:
-    """Fine vertical streaks that fade, as on an apple."""
+    """Paint fine vertical streaks that fade out, as on an apple."""
     field = sum(np.cos(2 * np.pi * (int(k) * u + rng.random())) for k in rng.integers(5, 60, 9)) / 5
     return np.asarray(np.clip(0.3 + 0.5 * field, 0.0, 0.7) * np.clip(0.3 + v, 0.0, 1.0))
 
 
 def _gradient(_: Field, v: Field, rng: Rng) -> Field:
-    """Gradual transition from one color to the other."""
+    """Paint a gradual transition between the two colors."""
     at, soft = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.25)
     return np.asarray(1 / (1 + np.exp((v - at) / soft)))
 
 
 def _grain(u: Field, v: Field, rng: Rng) -> Field:
-    """Wood grain: wavy lines along u."""
+    """Paint wood grain as wavy lines along u."""
     bend = 0.06 * _wave(u, rng) + 0.03 * np.sin(2 * np.pi * (u + 2 * v))
     rings = np.sin(2 * np.pi * rng.uniform(7, 14) * (v + bend))
     fine = np.sin(2 * np.pi * rng.uniform(40, 60) * (v + bend))
@@ -296,7 +316,7 @@ def _grain(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _planks(u: Field, v: Field, rng: Rng) -> Field:
-    """Boards side by side."""
+    """Paint boards side by side."""
     n = int(rng.integers(3, 6))
     tone = rng.uniform(0.0, 0.55, n)[np.minimum((v * n).astype(int), n - 1)]
     lines = 0.12 * np.sin(2 * np.pi * 9 * (v + 0.05 * _wave(u, rng)))
@@ -304,7 +324,7 @@ def _planks(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _print(u: Field, v: Field, rng: Rng) -> Field:
-    """A label and lines, as printed on a carton."""
+    """Paint a label and lines, as printed on a carton."""
     x, y = rng.uniform(0.25, 0.6), rng.uniform(0.35, 0.6)
     label = (np.abs(u - x) < 0.16) & (np.abs(v - y) < 0.2)
     lines = (u > 0.72) & (u < 0.93) & ((v * 14) % 1 < 0.4) & (v > 0.25) & (v < 0.75)
@@ -312,12 +332,12 @@ def _print(u: Field, v: Field, rng: Rng) -> Field:
 
 
 def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
-    """Smooth step: 1 above the threshold."""
+    """Return a smooth step from 0 below the threshold to 1 above it."""
     return np.asarray(np.clip(0.5 + sharp * (value - threshold), 0.0, 1.0))
 
 
 def _wave(u: Field, rng: Rng) -> Field:
-    """A smooth closed curve in [-1, 1]."""
+    """Return a smooth random function of u that is periodic and has values of about -1 to 1."""
     return np.asarray(sum(np.sin(2 * np.pi * (k * u + rng.random())) / k for k in (1, 2, 3, 5)) / 2.0)
 
 
@@ -332,7 +352,7 @@ def _flecks(u: Field, v: Field, rng: Rng, count: int, size: float) -> Field:
 PATTERNS: dict[str, Pattern] = {
     "bands": lambda _, v, r: _soft(np.sin(2 * np.pi * (r.integers(2, 7) * v + r.random())), r.uniform(-0.4, 0.4)),
     "stripes": lambda u, _, r: _soft(np.sin(2 * np.pi * int(r.integers(6, 18)) * u), r.uniform(-0.3, 0.6)),
-    # Stripes that wind around the axis.
+    # Stripes that spiral around the axis.
     "a spiral": lambda u, v, r: _soft(
         np.sin(2 * np.pi * (int(r.integers(4, 10)) * u + r.uniform(1, 4) * v)), r.uniform(-0.3, 0.4)
     ),
@@ -350,6 +370,6 @@ PATTERNS: dict[str, Pattern] = {
     "wood grain": _grain,
     "planks": _planks,
     "print": _print,
-    # A strip along the middle.
+    # A strip of tape along the middle.
     "tape": lambda _, v, r: np.asarray(np.abs(v - r.uniform(0.4, 0.6)) < 0.09, dtype=np.float64),
 }

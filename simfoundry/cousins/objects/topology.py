@@ -1,4 +1,4 @@
-"""Topology edits: add, remove or replace parts where such objects exist in the real world."""
+"""Topology edits, which add, remove or replace parts if such objects exist in the real world."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from simfoundry.spec.models.base import BoxShape, PoseSpec, SphereShape
 FORWARD = np.array([1.0, 0.0, 0.0])
 
 SHALLOW = 0.6
-"""Minimum ratio of height to width for a loop handle: bowls and plates have lugs or a foot."""
+"""Minimum ratio of height to width for a loop handle; bowls and plates get lugs or a foot instead."""
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """Remove a divider, band or stem. A handle stays: a mug without one is a cup."""
+    """Remove a divider, band or stem. Handles are never removed, because a mug without a handle would be a cup."""
     return with_added(spec, component.link, {}, component.parts), f"without its {component.name}"
 
 
@@ -60,7 +60,7 @@ def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
 
 
 def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a mug's loop handle to a vessel that has none."""
+    """Add a loop handle, as on a mug, to a vessel without a handle."""
     vessel = _vessel(spec, component)
     if vessel is None or _is_shallow(vessel[0]):
         return None
@@ -71,7 +71,7 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     far = max(walls) + reach
     added = {}
     for name, z, wall in (("lower", low, walls[0]), ("upper", high, walls[1])):
-        start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends inside the wall
+        start = wall + thick - 0.6 * min(profile.wall, thick)  # the cap of the capsule ends inside the wall
         pose = aimed(np.array([(start + far) / 2, 0.0, z + base[2]]), FORWARD)
         added[f"handle_{name}"] = PartSpec(shape=capsule(thick, far - start), pose=pose)
     middle = np.array([far, 0.0, (low + high) / 2 + base[2]])
@@ -106,7 +106,7 @@ def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Replace the bar handle of a drawer by one or two round knobs."""
+    """Replace a drawer's bar handle with one or two round knobs."""
     out = outward(spec, component)
     drawers = {joint.child for joint in spec.joints.values() if joint.type == "prismatic"}
     if out is None or component.link not in drawers or abs(out[2]) > 0.5:
@@ -132,7 +132,7 @@ def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """Add a third knob in the middle between two."""
+    """Add a third knob halfway between two knobs."""
     peers = [c for c in components(spec) if c.kind is Kind.KNOB and c.link == component.link]
     if len(peers) != 2:
         return None
@@ -156,7 +156,7 @@ def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def another_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a divider beside the existing one."""
+    """Add a divider beside an existing one."""
     part = parts_in(spec, component)[0]
     if not isinstance(part.shape, BoxShape) or part.pose.rpy_deg or part.pose.yaw_deg:
         return None
@@ -190,7 +190,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
 
 
 def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add four round feet and raise all other parts."""
+    """Add four round feet, and raise all other parts."""
     if any(c.kind is Kind.BASE for c in components(spec)):
         return None
     low, high = bounds(parts_in(spec, component))
@@ -215,7 +215,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Duplicate or remove a layer of a stack, except the lowest and the highest."""
+    """Duplicate or remove a layer of a stack other than the lowest and highest layers."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: at(parts[k])[2] + bounds([parts[k]])[0][2])
     if len(order) < 4:
@@ -237,7 +237,7 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Remove a berry from the top of a bunch, or add one beside the highest."""
+    """Remove a random berry from a bunch, except from its lowest layer, or add one beside the highest berry."""
     parts = parts_of(spec)
     order = sorted(component.parts, key=lambda k: (at(parts[k])[2], k))
     top = [k for k in order if at(parts[k])[2] > at(parts[order[0]])[2] + 1e-6]
@@ -252,7 +252,7 @@ def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a leaf at the stem of a round fruit."""
+    """Add a leaf to the stem of a round fruit."""
     if not any(c.kind is Kind.TURNED for c in components(spec)):
         return None
     stem = parts_in(spec, component)[0]
@@ -267,7 +267,7 @@ def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Add a clip along a cap that lies horizontally, as on a pen."""
+    """Add a clip to a horizontal cap, as on a pen."""
     cap = parts_in(spec, component)[0]
     low, high = bounds([cap])
     size = high - low
@@ -296,11 +296,14 @@ TOPOLOGY = (
     (leaf, (Kind.STEM,)),
     (clip, (Kind.CAP,)),
 )
-"""Edits and the kinds of components that they apply to."""
+"""Edits, and the kinds of components that they apply to."""
 
 
 def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | None:
-    """Profile of a vessel that has no handle yet, and its position in the link [m], shape (3,)."""
+    """Return the profile of a vessel and its position in the link [m], shape (3,).
+
+    The result is None if the component is not a vessel, already has a handle, or belongs to an object with other links.
+    """
     lathe = lathe_of(spec, component)
     if lathe is None or len(spec.links) > 1 or any(c.kind is Kind.HANDLE for c in components(spec)):
         return None

@@ -1,7 +1,8 @@
-"""Variants of one object: numbered candidates from any source, accepted if they pass every check and are distinct.
+"""Generate variants of an object from numbered candidates, which may come from different sources.
 
-Candidate k depends only on the twin, the axis, the seed and k. The first ``count`` that pass are taken, by number; each
-must be distinct from those taken before, so the same call gives the same variants.
+Candidate k depends only on the twin, the axis, the seed and k. The candidates are examined in order, and the first
+``count`` that pass all checks and differ from all previously accepted ones become variants, so equal calls produce
+equal variants.
 """
 
 from __future__ import annotations
@@ -42,24 +43,34 @@ MOST_TRIES = 25
 """Maximum number of candidates per requested variant."""
 
 NOTE = 200
-"""Maximum length of a note in a document [characters]."""
+"""Maximum number of characters in a document's note."""
 
 Progress = Callable[[int, int], None]
-"""Callback that receives the number of variants so far and of candidates examined."""
+"""Callback that receives the numbers of accepted variants and examined candidates."""
 
 
 class Origins(Protocol):
     """A source of candidates."""
 
     def __call__(self, item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-        """Return candidate ``k``, or the reason that there is none; a pure function of its arguments."""
+        """Return candidate ``k``, or the reason why it could not be generated; must be a pure function."""
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """An accepted candidate: ``name`` identifies the twin and the content, ``spec`` is the complete document, ``files``
-    are those it names; ``changed`` is a human-readable description, ``distance`` that to the nearest other variant in
-    units of the thresholds for distinct objects.
+    """An accepted candidate.
+
+    Attributes:
+        name: Unique name, derived from the object's name and a hash of the content.
+        k: Candidate number.
+        source: Name of the source.
+        spec: Complete asset document.
+        files: Content of the files that the document refers to, by name.
+        changed: Human-readable list of changes.
+        item: The lowered object.
+        likeness: Descriptor of the object.
+        distance: Distance to the most similar other variant or the twin, in units of the thresholds for distinct
+            objects.
     """
 
     name: str
@@ -74,7 +85,7 @@ class Variant:
 
     @property
     def file(self) -> str:
-        """File name of its document."""
+        """File name of the variant's document."""
         return f"{self.name}.asset.yaml"
 
     def to_json(self) -> dict[str, Any]:
@@ -85,7 +96,7 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Refused:
-    """A rejected candidate, with its reasons."""
+    """A rejected candidate and the reasons for its rejection."""
 
     k: int
     source: str
@@ -100,8 +111,9 @@ class Refused:
 
 @dataclass(frozen=True, eq=False)
 class Variants:
-    """Accepted and refused variants; ``lacks`` describes abilities that the twin lacks and that were not required of
-    them.
+    """Accepted and rejected variants of an object.
+
+    ``lacks`` describes requirements that the twin itself does not meet and that were therefore not checked.
     """
 
     accepted: tuple[Variant, ...]
@@ -110,7 +122,7 @@ class Variants:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """Count each reason for rejection, the most frequent first."""
+        """Number of rejections for each reason, the most frequent first."""
         counts = Counter(reason.code for one in self.refused for reason in one.reasons)
         return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
@@ -121,7 +133,7 @@ class Variants:
 
 
 def procedural(item: ObjectAsset, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
-    """Generate a candidate by rules."""
+    """Generate a candidate with rules."""
     try:
         made = draft(item, axis.changes, axis.components, rng_of(seed, item.name, k))
     except MeshError as error:
@@ -140,11 +152,22 @@ def variants(
     cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Variants:
-    """Return the first ``axis.count`` variants of an object that pass every check and are distinct.
+    """Return the first ``axis.count`` distinct variants of an object that pass all checks.
 
-    ``sources`` are those of ``axis.sources`` other than rules, which are always available. Fewer are returned if
-    :data:`MOST_TRIES` candidates per variant do not suffice. Raises :class:`SpecError` if the twin itself is invalid,
-    and KeyError for a missing source.
+    Fewer variants are returned if :data:`MOST_TRIES` candidates per variant are not enough.
+
+    Args:
+        item: The twin's object.
+        axis: Number, sources and kinds of variants.
+        needs: Requirements on the variants.
+        seed: Seed of the random generator.
+        sources: Sources by name, other than rules, which are always available.
+        cache: Cache for lowering.
+        progress: Called after each candidate that was generated.
+
+    Raises:
+        SpecError: The twin itself is invalid.
+        KeyError: A source that the axis uses is missing.
     """
     known: dict[str, Origins] = {"procedural": procedural, **(sources or {})}
     chosen = [(name, known[name]) for name in axis.sources]
@@ -156,7 +179,8 @@ def variants(
         lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
         twin, first = ObjectBaseline.of(base, needs), likeness(base)
-        # Rule-based variants must not be recolored twins; library entries are given, and a ball has only one shape.
+        # Rule-based variants must differ in shape or size, not just in color. This does not apply to library entries,
+        # which cannot be changed, or to balls, which have only one shape.
         form = "geometry" in axis.changes and not axis.components and not is_ball(item.spec)
         for k in range(MOST_TRIES * axis.count):
             if len(accepted) == axis.count:
@@ -186,9 +210,9 @@ def variants(
 
 
 def write(variant: Variant, folder: Path) -> Path:
-    """Write a variant's document and its meshes below a folder; return the document's path.
+    """Write a variant's document and its meshes to a folder, and return the path of the document.
 
-    An existing file of the same name has the same content.
+    File names are content-based, so an existing file with the same name has the same content.
     """
     for name, data in variant.files.items():
         write_atomically(folder / name, data)
@@ -200,7 +224,12 @@ def write(variant: Variant, folder: Path) -> Path:
 def _variant(
     item: ObjectAsset, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
 ) -> Variant:
-    """Complete a draft: its mass, name and lowered object. Raises :class:`SpecError` or :class:`MeshError`."""
+    """Complete a draft by computing its masses, naming it and lowering it.
+
+    Raises:
+        SpecError: The resulting document is invalid.
+        MeshError: A mesh is invalid.
+    """
     for name, data in made.files.items():
         write_atomically(folder / name, data)
     lay(made.kept, folder)
@@ -217,9 +246,9 @@ def _variant(
 
 
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Reason:
-    """Return the variant with its distance to the nearest of the others, or the reason if it is too close.
+    """Return the variant with its distance to the most similar other object, or a reason if it is too similar.
 
-    With ``form``, size or shape must differ, regardless of color.
+    If ``form`` is true, a difference in color alone is not enough.
     """
 
     away = attrgetter("form" if form else "distance")
@@ -227,11 +256,11 @@ def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant |
     if away(nearest) >= 1:
         return replace(variant, distance=nearest.distance)
     numbers = {"size": nearest.size, "shape": nearest.shape, "color": nearest.color}
-    return Reason("alike", f"it is too like another: {nearest}", numbers)
+    return Reason("alike", f"it is too similar to another variant or the twin: {nearest}", numbers)
 
 
 def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
-    """Return the document with a name derived from its content, its category and its origin."""
+    """Return the document with a content-based name and an origin note."""
     plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
     content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
     name = f"{item.name[:50]}_{hashlib.sha256(content.encode()).hexdigest()[:8]}"
@@ -242,36 +271,42 @@ def _named(spec: AssetSpec, item: ObjectAsset, made: Draft, k: int, source: str,
 
 
 def _checked(spec: AssetSpec, item: ObjectAsset) -> AssetSpec:
-    """Return the document with its category, and only the materials that it uses."""
+    """Return the document with its category set and without unused materials."""
     used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
     materials = {name: material for name, material in spec.materials.items() if name in used}
     return spec.model_copy(update={"category": item.category, "materials": materials})
 
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
-    """Volumes enclosed by the mesh files of an asset, in their own units, by name."""
+    """Return the volumes enclosed by the mesh files of an asset by name, in the cubed units of the files."""
     names = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
 
 DOUBT = 0.15
-"""Relative uncertainty of a density if the material is not in the tables."""
+"""Relative uncertainty of the density of a material that is not in the tables."""
 
 BY = "volume and density"
 GIVEN = "the twin's mass, by volume"
 
 
 def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], before: Mapping[str, float]) -> AssetSpec:
-    """Return the asset with the mass of each link as an estimate.
+    """Return the asset with an estimated mass for each link.
 
-    ``volumes`` and ``before`` [m^3] are those of the meshes in the two specs by file. A link whose mass the twin states
-    is scaled in proportion to its volume. Measured inertias of the twin no longer apply and are removed.
+    If the twin specifies a link's mass, that mass is scaled in proportion to the volume. The twin's measured inertias
+    no longer apply and are removed.
+
+    Args:
+        spec: The variant's asset.
+        twin: The twin's asset.
+        volumes: Volumes of the variant's mesh files by name, in the cubed units of the files.
+        before: Volumes of the twin's mesh files by name.
     """
     links = {}
     for name, link in spec.links.items():
         own = twin.links.get(name)
         given = quantity_value(own.mass) if own is not None else None
-        if link.density is not None:  # the density is stated by the link itself and still applies
+        if link.density is not None:  # the density specified for the link still applies
             links[name] = link.model_copy(update={"inertial": None})
             continue
         if own is not None and given is not None:
@@ -286,7 +321,10 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
 
 
 def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
-    """Mass of a link [kg] at the lowest (-1), the written (0) or the highest (1) densities of its materials."""
+    """Return the mass of a link [kg].
+
+    ``side`` selects the lowest (-1), the nominal (0) or the highest (1) densities of its materials.
+    """
     total = 0.0
     for part in link.parts.values():
         if part.use != "visual":
@@ -304,5 +342,5 @@ def _density(name: str | None, materials: Mapping[str, Material], side: int) -> 
 
 
 def _short(value: float) -> float:
-    """Round to three digits, the accuracy of an estimate."""
+    """Round to three significant digits, which is sufficient for an estimate."""
     return float(f"{max(value, 1e-6):.3g}")

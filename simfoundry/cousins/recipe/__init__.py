@@ -1,1 +1,1 @@
-"""Recipes: their documents, object libraries, variant pools, and the documents written for candidates."""
+"""Recipes: recipe documents, object libraries, variant pools, and the documents written for candidates."""

@@ -1,4 +1,4 @@
-"""Results of candidates, and the reasons for rejecting them: a code for statistics, a sentence, and its numbers."""
+"""Candidate results and rejection reasons."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from simfoundry.errors import SimfoundryError
 
 @dataclass(frozen=True)
 class Reason:
-    """``code`` identifies the kind of reason; ``text`` is a sentence; ``numbers`` are its values in SI units."""
+    """A reason for rejection.
+
+    ``code`` identifies the kind of reason and is used for statistics, ``text`` is a message for users, and ``numbers``
+    are the quantities mentioned in the message, in SI units.
+    """
 
     code: str
     text: str
@@ -27,13 +31,13 @@ class Reason:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A rejected draw, with its reasons."""
+    """A rejected draw and the reasons for its rejection."""
 
     reasons: tuple[Reason, ...]
 
 
 class ImpossibleError(SimfoundryError):
-    """A request that can never be satisfied; every reason is certain before any sampling."""
+    """Raised for a request that can never be satisfied; all ``reasons`` are known before any sampling."""
 
     def __init__(self, reasons: tuple[Reason, ...]) -> None:
         super().__init__("; ".join(reason.text for reason in reasons))
@@ -42,11 +46,15 @@ class ImpossibleError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Candidate:
-    """The result of candidate ``index``, counted from 1.
+    """The result of examining a candidate.
 
-    An accepted candidate has ``documents``, their texts by kind (``scene``, ``task``), ``asked``, the predicates
-    requested of its layout, ``goal``, that of its own task, and ``unchecked``, the checks that could not be made. A
-    rejected one has ``reasons``.
+    Attributes:
+        index: 1-based index.
+        documents: Document texts by kind (``scene``, ``task``); empty if the candidate was rejected.
+        asked: Predicates that were requested for the layout.
+        goal: Goal of the candidate's own task, or an empty string.
+        unchecked: Checks that could not be performed.
+        reasons: Reasons for rejection; empty if the candidate was accepted.
     """
 
     index: int
@@ -58,15 +66,15 @@ class Candidate:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the candidate is a cousin."""
+        """Return whether the candidate was accepted as a cousin."""
         return not self.reasons
 
     def files(self) -> dict[str, str]:
-        """File names of its documents by kind, such as ``000017.scene.yaml``."""
+        """Return the file names of the documents by kind, such as ``000017.scene.yaml``."""
         return {kind: file_of(self.index, kind) for kind in self.documents}
 
     def line(self) -> str:
-        """Serialize to one line of JSON; equal candidates give equal bytes."""
+        """Serialize the candidate to one line of JSON; equal candidates produce identical bytes."""
         data: dict[str, Any] = {"index": self.index}
         if self.accepted:
             data |= {"documents": dict(self.documents), "asked": list(self.asked)}
@@ -78,7 +86,7 @@ class Candidate:
 
     @classmethod
     def of(cls, line: str | bytes) -> Candidate:
-        """Parse a candidate from a line; raises ValueError for anything else."""
+        """Parse a serialized candidate; raise ValueError if the line is not one."""
         data = json.loads(line)
         try:
             reasons = tuple(Reason(r["code"], r["text"], r["numbers"]) for r in data.get("reasons", ()))
@@ -92,7 +100,7 @@ class Candidate:
 
 
 def free_name(name: str, taken: Container[str]) -> str:
-    """Return a name, or the first of its numbered alternatives, that is not taken: ``mug``, ``mug_2``, ``mug_3``."""
+    """Return the name, or its first numbered alternative that is not taken: ``mug``, ``mug_2``, ``mug_3``, …."""
     return next(n for n in chain((name,), (f"{name}_{k}" for k in count(2))) if n not in taken)
 
 

@@ -1,6 +1,6 @@
-"""A recipe with its twin, the fingerprint of a run, and cousins as overlay documents.
+"""Read recipes with their twins, compute run fingerprints, and write cousins as overlay documents.
 
-An overlay document refers to the twin and states only the fields that differ.
+An overlay document extends the twin's document and contains only the fields that differ.
 """
 
 from __future__ import annotations
@@ -37,12 +37,15 @@ from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
 NOT_COUNTED = ("simfoundry", "extends", "name", "description", "allow", "conflicts", "count", "seed")
-"""Fields of a recipe that do not affect a candidate, and the seed, which may be given with the run."""
+"""Recipe fields that do not affect a candidate, plus the seed, which can be overridden for a run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """A checked recipe. ``scene`` is the document of the twin's scene, ``task`` that of the twin if it is a task."""
+    """A validated recipe.
+
+    ``scene`` is the document of the twin's scene. ``task`` is the twin's task document, or None if the twin is a scene.
+    """
 
     loaded: Loaded
     scene: Loaded
@@ -51,34 +54,38 @@ class Recipe:
 
     @property
     def spec(self) -> CousinsSpec:
-        """The recipe's document."""
+        """The content of the recipe document."""
         assert isinstance(self.loaded.spec, CousinsSpec)
         return self.loaded.spec
 
     @property
     def scene_spec(self) -> SceneSpec:
-        """The document of the twin's scene."""
+        """The content of the twin's scene document."""
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
     @property
     def task_spec(self) -> TaskSpec | None:
-        """The document of the twin's task, if it is a task."""
+        """The content of the twin's task document, or None if the twin is a scene."""
         return self.task.spec if self.task is not None and isinstance(self.task.spec, TaskSpec) else None
 
     @property
     def twin_file(self) -> Path:
-        """Path of the twin's document."""
+        """Path of the twin's task document, or of its scene document if the twin is a scene."""
         return (self.task or self.scene).path
 
     @property
     def distractors(self) -> tuple[LibraryItem, ...]:
-        """Objects that may be added as distractors; raises :class:`ImpossibleError` if there are none."""
+        """Objects that can be added as distractors.
+
+        Raises:
+            ImpossibleError: The recipe requests distractors, but no object passes its filters.
+        """
         return self._choice[0]
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return notes for the user on the choice of distractors."""
+        """Return notes for the user about the choice of distractors."""
         return self._choice[1]
 
     @cached_property
@@ -95,7 +102,7 @@ class Recipe:
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
-        """Words for the objects of the twin, sorted: their names, labels, and categories or asset names."""
+        """Words that denote objects in the twin, sorted: their names, labels, and categories or asset names."""
         found = set()
         for name, item in self.scene_spec.objects.items():
             asset = self.scene.used(item.asset) if item.asset is not None else None
@@ -104,7 +111,7 @@ class Recipe:
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
-        """Return the run's fingerprint; equal fingerprints give equal bytes."""
+        """Return the run's fingerprint; runs with equal fingerprints produce identical bytes."""
         from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
@@ -128,7 +135,15 @@ def _hash(data: object) -> str:
 
 
 def read_recipe(path: Path, seed: int | None = None) -> Recipe:
-    """Read a recipe and its twin; raises :class:`SpecError` with every finding."""
+    """Read a recipe and its twin.
+
+    Args:
+        path: Path of the recipe document.
+        seed: Overrides the recipe's seed unless None.
+
+    Raises:
+        SpecError: The recipe or its twin is invalid; the error contains all findings.
+    """
     loaded = load_kind(path, "cousins/1")
     spec = loaded.spec
     assert isinstance(spec, CousinsSpec)
@@ -136,24 +151,27 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     task = twin if twin is not None and isinstance(twin.spec, TaskSpec) else None
     scene = twin if task is None or twin is None else twin.used(task.spec.scene)  # type: ignore[union-attr]
     if scene is None or not isinstance(scene.spec, SceneSpec) or scene.path.suffix != ".yaml":
-        message = f"`{spec.twin}` is not a scene or task document that another can extend"
-        raise SpecError([loaded.finding("SF005", ("twin",), message, "give a .scene.yaml or .task.yaml")])
+        message = f"`{spec.twin}` is not a scene or task document that other documents can extend"
+        raise SpecError([loaded.finding("SF005", ("twin",), message, "use a .scene.yaml or .task.yaml file")])
     return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
 
 
 def claim_project(recipe: Recipe, out: Path) -> Path | None:
-    """Mark a common project folder of a recipe and its cousins if there is none; return the marker written, or None.
+    """Ensure that a recipe and its cousins in ``out`` belong to one project; write a project marker if necessary.
 
-    Raises :class:`OutputError` unless documents in ``out`` can extend the twin, which requires both to be in one
-    project.
+    Returns:
+        The path of the marker that was written, or None if the project already exists.
+
+    Raises:
+        OutputError: Documents in ``out`` cannot extend the twin because they would be in a different project.
     """
     try:
         project = common_project(recipe.loaded.path, recipe.scene.path, out / "cousin.scene.yaml")
     except NoProjectError:
         root = recipe.scene.root
         raise OutputError(
-            f"cousins extend their twin by a relative path, so they must lie in its project, {root}; "
-            f"give a folder below it, such as -o {root / 'build' / recipe.spec.name}"
+            f"cousins extend their twin by a relative path, so they must be located in its project, {root}; "
+            f"specify a folder inside it, such as -o {root / 'build' / recipe.spec.name}"
         ) from None
     for marker, text in markers(project).items():
         write_atomically(marker, text.encode())
@@ -162,10 +180,10 @@ def claim_project(recipe: Recipe, out: Path) -> Path | None:
 
 
 STILL = 1e-3
-"""Joint displacement [m or rad] while settling below which the written position is kept."""
+"""Joint displacements [m or rad] up to this value are ignored: the joint keeps the position in its document."""
 
 MOST_NAME = 57
-"""Maximum length of a recipe's name in the names of its cousins, to which six digits are appended."""
+"""Maximum number of characters of the recipe's name in a cousin's name; an underscore and six digits are appended."""
 
 Data = dict[str, Any]
 
@@ -179,10 +197,16 @@ def scene_overlay(
     joints: Mapping[str, Mapping[str, float]],
     relations: tuple[str, ...],
 ) -> str:
-    """Return the text of a scene that extends the twin's.
+    """Return the text of a scene document that extends the twin's scene.
 
-    ``changes`` are other fields of objects by name, including new objects; ``poses`` X_WO are written for the objects
-    they name, ``joints`` [m or rad] for those that moved; ``relations`` are all that hold.
+    Args:
+        recipe: The recipe.
+        out: Folder that the document will be written to.
+        index: Index of the candidate.
+        changes: Changed object fields other than poses and joints, by object name, including new objects.
+        poses: Poses X_WO to write, by object name.
+        joints: Joint positions [m or rad] to write, by object and joint name.
+        relations: All relations that hold in the scene.
     """
     objects: dict[str, Data] = {}
     for name in (*recipe.scene_spec.objects, *(n for n in changes if n not in recipe.scene_spec.objects)):
@@ -205,11 +229,11 @@ def scene_overlay(
 
 
 def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], crowded: bool) -> str:
-    """Return the text of a task that extends the twin's, in a scene cousin in which ``moved`` objects have other poses.
+    """Return the text of a task document that extends the twin's task and uses the scene cousin with the same index.
 
-    Start conditions of the twin about moved objects are removed. So are its start regions if objects moved or the scene
-    is ``crowded`` with more objects, because the regions were free of the twin's objects only. Rollouts start from the
-    scene's layout.
+    The twin's start conditions for ``moved`` objects are removed. Its start regions are also removed if one of their
+    objects moved, or if the scene is ``crowded`` (contains added objects), because the regions are guaranteed to be
+    free only in the twin's layout. Rollouts then start from the scene's layout.
     """
     assert recipe.task is not None and recipe.task_spec is not None
     spec = recipe.task_spec
@@ -229,10 +253,11 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
 
 
 def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
-    """Return the text of a new task, in the scene cousin of the same index or in the twin's scene.
+    """Return the text of a new task document.
 
-    The task starts like the twin, except for ``moved`` objects. In a scene of its own it starts from that scene's
-    layout, because the twin's start regions were free of the twin's objects only.
+    The task uses the scene cousin with the same index if ``own_scene`` is set, otherwise the twin's scene. It inherits
+    the twin's start conditions, except those for ``moved`` objects. With its own scene, the task has no start regions,
+    because these are guaranteed to be free only in the twin's layout.
     """
     data = to_data(spec)
     if recipe.task_spec is not None:
@@ -242,7 +267,7 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Colle
         data |= {"start": {key: value for key, value in start.items() if value}} if any(start.values()) else {}
     data["name"] = named(recipe, index)
     data["scene"] = file_of(index, "scene") if own_scene else relative(recipe.scene.path, out)
-    if own_scene:  # start regions were found in the twin's layout
+    if own_scene:  # the start regions were computed for the twin's layout
         data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
     return write_tree(plain_tree(data), TaskSpec)
@@ -254,23 +279,23 @@ def named(recipe: Recipe, index: int) -> str:
 
 
 def origin(recipe: Recipe, index: int) -> Data:
-    """Return the origin entry of a cousin."""
+    """Return the `origin` entry for a cousin's documents."""
     generator = f"simfoundry {simfoundry.__version__}"
     return {"cousin": {"recipe": recipe.spec.name, "seed": recipe.seed, "index": index, "generator": generator}}
 
 
 def relative(file: Path, folder: Path) -> str:
-    """Return the path by which documents in a folder name a file."""
+    """Return the path by which documents in ``folder`` refer to ``file``."""
     return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
 
 
 def written(poses: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Round poses to the precision of documents, 0.1 mm and 0.01 deg."""
+    """Round poses to the precision used in documents: 0.1 mm and 0.01 deg."""
     return {name: pose(pose_spec(X_WO)) for name, X_WO in poses.items()}
 
 
 def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
-    """Objects whose documents place them, directly or indirectly, on, in or beside moved objects."""
+    """Return the objects whose `place` refers, directly or indirectly, to an object in ``moved``."""
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     found, todo = set[str](), set(moved)
     while todo:
@@ -281,13 +306,13 @@ def dependents(spec: SceneSpec, moved: Iterable[str]) -> set[str]:
 
 
 def named_by(place: Place) -> set[str]:
-    """Names of the objects that a place refers to."""
+    """Return the names of the objects that a `place` refers to."""
     keys = ("on", "inside", *SIDES, *DEPTHS)
     return {str(getattr(place, key)).partition(".")[0] for key in keys if getattr(place, key) is not None}
 
 
 def moved_joints(scene: Scene, state: SceneState, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Single-axis joints that differ from their positions in the scene, by object and joint."""
+    """Return the positions [m or rad] of single-axis joints that differ from the scene, by object and joint."""
     found: dict[str, dict[str, float]] = {}
     for name in names:
         for joint in scene.object(name).joints:

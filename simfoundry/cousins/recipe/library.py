@@ -1,7 +1,7 @@
-"""Libraries of distractors: a folder of assets and meshes, with the measured mass, volume and density of each.
+"""Distractor libraries: folders of assets and meshes, with the measured mass, volume and density of each object.
 
-The mass is that of the lowered asset; the volume is that of its convex parts, which for a cup is that of its wall. Both
-are measured once and cached.
+An object's mass is the mass of the lowered asset. Its volume is the total volume of its convex parts; for a cup, this
+is the volume of the wall. Both are measured once and cached.
 """
 
 from __future__ import annotations
@@ -31,19 +31,27 @@ VERSION = "library facts 2"
 """Version of the measured data; part of the cache key."""
 
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
-"""Assumed density of a mesh without a stated mass [kg/m^3]: solid household objects are denser or lighter than
-water, and hollow ones float.
+"""Assumed density [kg/m^3] of meshes, whose files do not specify a mass; solid household objects have densities around
+that of water, and hollow ones float.
 """
 
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
-"""Generic file stems, for which the folder's name is used instead."""
+"""Generic file name stems that are ignored; the object is named after its folder instead."""
 
 
 @dataclass(frozen=True)
 class LibraryItem:
-    """An object of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounding box.
+    """An object in a library.
 
-    ``stated`` is true if its document gives the category; otherwise the category is derived from the file's name.
+    Attributes:
+        name: Unique name in the library.
+        category: Category from the asset document, or derived from the file name.
+        file: Asset document or mesh file.
+        mass: Mass [kg].
+        volume: Total volume of the convex parts [m^3].
+        size: Extents of the bounding box [m].
+        digest: Hash of the content.
+        stated: True if the asset document specifies the category.
     """
 
     name: str
@@ -57,11 +65,11 @@ class LibraryItem:
 
     @property
     def density(self) -> float:
-        """Mass divided by volume [kg/m^3]."""
+        """Mass divided by volume [kg/m^3], or 0 if the volume is 0."""
         return self.mass / self.volume if self.volume > 0 else 0.0
 
     def data(self, reference: str) -> dict[str, Any]:
-        """Return the object's entry in a scene, with its file under ``reference``."""
+        """Return the object's entry for a scene document that refers to its file by the path ``reference``."""
         data: dict[str, Any] = {"asset": reference}
         if not reference.endswith(ASSET_SUFFIX):
             data |= {"density": dict(MESH_DENSITY), "category": self.category}
@@ -70,7 +78,7 @@ class LibraryItem:
 
 @dataclass(frozen=True)
 class Library:
-    """The objects of a folder by name, and its unusable files with the reasons."""
+    """The objects in a folder, and the relative paths of unusable files with the reasons."""
 
     title: str
     items: tuple[LibraryItem, ...]
@@ -78,17 +86,22 @@ class Library:
 
 
 def default_folder() -> Path:
-    """Return the folder of the assets that are shipped with the project."""
+    """Return the folder of the assets shipped with SimFoundry."""
     return shipped("specs/assets")
 
 
 def read_library(folder: Path, cache: Cache | None = None) -> Library:
-    """Read all objects in a folder and its subfolders: every asset document, and every mesh that none of them names.
+    """Read all objects in a folder and its subfolders.
 
-    Raises :class:`SimfoundryError` if the folder does not exist.
+    The objects are all asset documents, plus all meshes that no asset document refers to.
+
+    Raises:
+        SimfoundryError: The folder does not exist.
     """
     if not folder.is_dir():
-        raise SimfoundryError(f"the library {folder} does not exist; give a folder of .asset.yaml documents or meshes")
+        raise SimfoundryError(
+            f"the library folder {folder} does not exist; specify a folder of .asset.yaml documents or meshes"
+        )
     items: dict[str, LibraryItem] = {}
     faults = []
     for file in _files(folder):
@@ -108,7 +121,7 @@ def _add(items: dict[str, LibraryItem], item: LibraryItem) -> None:
 
 
 def united(libraries: Sequence[Library]) -> Library:
-    """Merge several libraries in this order, without duplicates."""
+    """Merge several libraries, preserving their order and dropping duplicates."""
     items: dict[str, LibraryItem] = {}
     digests = set[str]()
     for item in (item for of in libraries for item in of.items):
@@ -138,7 +151,7 @@ def _meshes_of(document: Path) -> list[Path]:
 
 
 def name_of(file: Path) -> str:
-    """Derive an object name from a file's path: ``025_mug/textured.obj`` is a ``mug``."""
+    """Derive an object name from a file path: ``025_mug/textured.obj`` becomes ``mug``."""
     stem = file.name.split(".")[0]
     if stem.lower() in _NAMELESS or stem.lower().startswith("google"):
         stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
@@ -147,7 +160,7 @@ def name_of(file: Path) -> str:
 
 
 def described(file: Path) -> Loaded:
-    """Return a scene document that contains only the object of a file, as if it were in the same folder."""
+    """Return a scene document, located in the same folder as ``file``, that contains only the object in that file."""
     name = name_of(file)
     text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
     if not file.name.endswith(ASSET_SUFFIX):
@@ -158,14 +171,17 @@ def described(file: Path) -> Loaded:
 
 @lru_cache(maxsize=1024)
 def lowered(file: Path) -> SceneObject:
-    """Lower the object of a file, at the origin; cached because many scenes share it. Raises :class:`SpecError`."""
+    """Lower the object in a file, with its frame at the origin; raise :class:`SpecError` if it is invalid.
+
+    Results are cached because many scenes share an object.
+    """
     from simfoundry.scene.lower import lower
 
     return lower(described(file), Cache.default()).objects[0]
 
 
 def measured(file: Path, cache: Cache) -> LibraryItem:
-    """Measure a file, or read the result from the cache; raises :class:`SpecError` for a file that is not an object."""
+    """Measure the object in a file, or read the result from the cache; raise :class:`SpecError` if it is invalid."""
     from simfoundry.targets.inputs import record
 
     loaded = described(file)
@@ -177,7 +193,7 @@ def measured(file: Path, cache: Cache) -> LibraryItem:
     stored = cache.get(key)
     facts = _read(stored) if stored is not None else None
     if facts is None:
-        asset = loaded.used(file.name)  # None for a mesh, which states no category
+        asset = loaded.used(file.name)  # None for a mesh, which does not specify a category
         stated = asset is not None and getattr(asset.spec, "category", None) is not None
         facts = {**measure(lowered(file)), "stated": stated}
         cache.put(key, json.dumps(facts).encode())
@@ -194,7 +210,7 @@ def _read(stored: bytes) -> dict[str, Any] | None:
 
 
 def measure(item: SceneObject) -> dict[str, Any]:
-    """Category, mass [kg], volume of the convex parts [m^3] and size [m] of an object."""
+    """Return an object's category, mass [kg], volume of the convex parts [m^3] and bounding box extents [m]."""
     from simfoundry.scene.object_shapes import bounds
 
     low, high = bounds(item)
@@ -207,7 +223,7 @@ def measure(item: SceneObject) -> dict[str, Any]:
 
 
 def volume(geometry: Any) -> float:
-    """Volume of a primitive or closed mesh [m^3]."""
+    """Return the volume of a primitive or closed mesh [m^3]."""
     from simfoundry.assets import mass
     from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 
@@ -227,11 +243,12 @@ def volume(geometry: Any) -> float:
 
 KIND_OF_TWIN = "a category that the twin does not have"
 SHAPE_OF_TWIN = "a category, or a shape that the twin does not have"
-"""Two of the filters, as phrases in messages."""
+"""Phrases that describe two of the filters in messages."""
 
 LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
-"""Similarity thresholds for unnamed objects: a ratio of side lengths up to 1.3 and a shape distance up to 0.1 (see
-:class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape, a pot and a bowl by 0.08.
+"""Similarity thresholds for objects that neither a category nor their name identifies: the maximum ratio of side
+lengths and the maximum shape distance (see :class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape,
+a pot and a bowl by 0.08.
 """
 
 
@@ -240,7 +257,7 @@ LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
 
 @dataclass(frozen=True)
 class FilterStep:
-    """One filter: its condition, and the objects it removed from those that had passed the filters before it."""
+    """A filter's condition, and the objects it removed from those that passed all previous filters."""
 
     asks: str
     taken: tuple[LibraryItem, ...]
@@ -249,12 +266,20 @@ class FilterStep:
 def filtered(
     library: Library, axis: DistractorAxis, own: Iterable[str] = (), twin: Callable[[], Sequence[SceneObject]] = tuple
 ) -> tuple[tuple[LibraryItem, ...], list[FilterStep]]:
-    """Return the objects that an axis allows, and those that each of its filters removed.
+    """Return the library objects that pass all filters of an axis, and the objects removed by each filter.
 
-    If the axis names no categories, objects that an instruction could confuse with one of the twin are excluded: with a
-    second bowl, "the bowl" would be ambiguous. ``own`` are the words for the twin's objects: categories, names and
-    labels. A library object that states no category is judged by its name, and if that is meaningless, by its size and
-    shape compared to the objects that ``twin`` returns. Raises :class:`ImpossibleError` if nothing remains.
+    If the axis does not list categories, objects that an instruction could confuse with an object in the twin are
+    removed: if there were a second bowl, "the bowl" would be ambiguous. A library object without a category is judged
+    by its name or, if the name is not a known word, by its size and shape.
+
+    Args:
+        library: The library.
+        axis: The axis that specifies the filters.
+        own: Categories, names and labels of the objects in the twin.
+        twin: Function that returns the objects in the twin; called only if shapes must be compared.
+
+    Raises:
+        ImpossibleError: Distractors are requested, but no object passes the filters.
     """
     left, steps = library.items, list[FilterStep]()
     for asks, passes in _filters(axis, tuple(own), twin):
@@ -289,35 +314,35 @@ def _is_within(what: str, bounds: ValueRange, item: LibraryItem) -> bool:
 
 
 def _is_called(item: LibraryItem, words: Iterable[str]) -> bool:
-    """Return whether one of the words denotes an object's category, or its name if it states no category."""
+    """Return whether a word denotes the object's category or, if none is specified, its derived category or name."""
     names = (item.category,) if item.stated else (item.category, item.name)
     return any(same_kind(word, name) for word in words for name in names)
 
 
 def _is_nameless(item: LibraryItem) -> bool:
-    """Return whether neither a category nor a word of its name identifies an object."""
+    """Return whether an object has no specified category and its name contains no known category word."""
     return not item.stated and category_prior(item.name) is None
 
 
 def _resembles(item: LibraryItem, others: Sequence[SceneObject]) -> bool:
-    """Return whether an object has about the same size and shape as one of the others that can move."""
+    """Return whether an object is similar in size and shape to one of the other objects, ignoring fixed ones."""
     own = likeness(lowered(item.file))
     distances = (own.apart(likeness(other)) for other in others if not other.fixed)
     return any(d.size < math.log(LIKE_SIZE) and d.shape < LIKE_SHAPE for d in distances)
 
 
 def remarks(library: Library, chosen: Sequence[LibraryItem], steps: Sequence[FilterStep]) -> tuple[str, ...]:
-    """Return notes for the user on the choice: objects too similar to the twin's, and objects without a category."""
+    """Return notes for the user about excluded objects that resemble the twin's, and about missing categories."""
     found = [
-        f"left out {_few(step.taken)} of {library.title}: distractors need {step.asks}"
+        f"excluded {_few(step.taken)} from {library.title}: distractors need {step.asks}"
         for step in steps
         if step.taken and step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)
     ]
     nameless = [item for item in chosen if not item.stated]
     if nameless:
         found.append(
-            f"{_few(nameless)} of {library.title} state no `category` and are judged by name and shape; write one in "
-            "their assets, so that no instruction can mean them by accident"
+            f"no `category` is set for {_few(nameless)} in {library.title}, so only names and shapes were compared; "
+            "set it in these assets so that no instruction can refer to them by accident"
         )
     return tuple(found)
 
@@ -328,32 +353,35 @@ def _few(items: Sequence[LibraryItem], most: int = 5) -> str:
 
 
 def _nothing_left(library: Library, axis: DistractorAxis, steps: list[FilterStep]) -> Reason:
-    """Return a reason with the number of objects and of those that each filter removed."""
+    """Return a reason that includes the number of objects in the library and the number removed by each filter."""
     total = len(library.items)
-    text = f"no distractor is left of the {total} in {library.title}"
+    text = f"none of the {total} objects in {library.title} can be used as a distractor"
     numbers = {"library": float(total)}
     for step in steps:
         if step.taken:
             numbers[f"taken by {step.asks}"] = float(len(step.taken))
-            text += f"; {step.asks}: {len(step.taken)} taken{_spread(step)}"
+            text += f"; {step.asks}: {len(step.taken)} removed{_spread(step)}"
     known = sorted({item.category for item in library.items})
     unknown = [name for name in axis.categories if name not in known]
     if unknown and known:
-        text += f"; it has no `{unknown[0]}`, {nearest(unknown[0], known)}"
+        text += f"; category `{unknown[0]}` does not exist in it, {nearest(unknown[0], known)}"
     if library.faults:
         numbers["unusable"] = float(len(library.faults))
         file, why = library.faults[0]
-        text += f"; {len(library.faults)} cannot be used, the first is {file}: {why}"
+        text += f"; unusable files: {len(library.faults)}, the first is {file}: {why}"
     return Reason("no_distractor", text, numbers)
 
 
 def _spread(step: FilterStep) -> str:
-    """Range of the filtered quantity over the removed objects, as a phrase: `` (theirs 0.012 to 4.1)``."""
+    """Return a phrase with the range of the filtered quantity over the removed objects.
+
+    The phrase has the form `` (actual values 0.012 to 4.1)``; it is empty if the filter is not about a quantity.
+    """
     what = step.asks.split()[0]
     if what not in ("mass", "volume", "density"):
         return ""
     values = [getattr(item, what) for item in step.taken]
-    return f" (theirs {min(values):.3g} to {max(values):.3g})"
+    return f" (actual values {min(values):.3g} to {max(values):.3g})"
 
 
 def _range(bounds: ValueRange) -> str:

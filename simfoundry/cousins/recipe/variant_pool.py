@@ -1,8 +1,8 @@
-"""Variant pools: the alternatives for each axis of a recipe (objects, distractors, tasks), found once for all
-candidates.
+"""Collect the alternatives for each axis of a recipe (objects, distractors, tasks) in a variant pool.
 
-Variants of objects are generated once per recipe, stored in a folder, and chosen for each cousin. Files that the
-cousins need from outside the twin's project are copied to ``OUT/assets`` under content-based names.
+The pool is created once and shared by all candidates. Object variants are generated once per recipe and stored in a
+folder, and each cousin chooses among them. Files that cousins need from outside the twin's project are copied to
+``OUT/assets`` under content-based names.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ if TYPE_CHECKING:
     from simfoundry.cousins.tasks.proposals import TaskCousin
 
 VERSION = "variants/3"
-"""Format version; incremented when the same twin, axis and seed would give other variants."""
+"""Version of the generated variants; increment it when the same twin, axis and seed produce different variants."""
 
 ASSETS = "assets"
-"""Folder below the output for copied assets."""
+"""Subfolder of the output folder for copied assets."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A replacement for an object: its document, and the path by which cousins name it."""
+    """A replacement for an object: its document, and the path by which cousins refer to it."""
 
     file: Path
     reference: str
@@ -61,9 +61,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class VariantPool:
-    """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
+    """The alternatives for each axis of a recipe.
 
-    ``most`` is the number of distinct candidates, None if it is unbounded.
+    Attributes:
+        choices: Replacements for each object that varies.
+        references: Paths by which cousins refer to distractors, by distractor name.
+        tasks: Tasks to choose from; empty if the task does not vary.
+        most: Number of distinct candidates, or None if it is unbounded.
     """
 
     choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
@@ -72,7 +76,7 @@ class VariantPool:
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
-        """Return combination ``k`` of choices, counted from 0; none is repeated before all have occurred."""
+        """Return the combination of choices with the 0-based index ``k``; all combinations occur before any repeats."""
         found = {}
         for name, of in self.choices.items():
             k, digit = divmod(k, len(of))
@@ -81,18 +85,18 @@ class VariantPool:
 
 
 def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
-    """Collect the alternatives for each axis; raises :class:`ImpossibleError` if an axis has none."""
+    """Collect the alternatives for each axis; raise :class:`ImpossibleError` if an axis has no alternatives."""
     others, tasks = _choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
     most = None
-    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout varies
+    if recipe.spec.scene is None and recipe.spec.distractors is None:  # the layout does not vary
         most = math.prod(map(len, others.values())) * max(1, len(tasks))
     return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
 def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...]]:
-    """Return the variants of each object that varies, generated once and written below ``OUT/assets/objects``.
+    """Return the variants of each object that varies, generated once and stored in ``OUT/assets/objects``.
 
-    ``vlm`` names the model to query if the recipe names none.
+    ``vlm`` is the name of the model to query if the recipe does not specify one.
     """
     axis, folder = recipe.spec.object, out / ASSETS / "objects"
     if axis is None:
@@ -104,8 +108,9 @@ def _choices(recipe: Recipe, out: Path, vlm: str) -> dict[str, tuple[Choice, ...
 
 
 def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str, str]:
-    """Return the paths by which cousins in ``out`` name library objects; files outside the project ``root`` are copied
-    first.
+    """Return the paths by which cousins in ``out`` refer to library objects.
+
+    Files outside the project folder ``root`` are copied to the output folder first.
     """
     found = {}
     for item in items:
@@ -116,7 +121,7 @@ def references(items: Iterable[LibraryItem], root: Path, out: Path) -> dict[str,
 
 
 def copied(file: Path, folder: Path) -> Path:
-    """Copy a mesh, or a flattened asset document, to ``folder`` with the files that it names."""
+    """Copy a mesh or a flattened asset document, along with the files it refers to, to ``folder``."""
     if not file.name.endswith(ASSET_SUFFIX):
         _copy_mesh(file, folder)
         return folder / file.name
@@ -137,7 +142,7 @@ def copied(file: Path, folder: Path) -> Path:
 
 
 def _copy_mesh(mesh: Path, folder: Path) -> None:
-    """Copy a mesh with those of its materials and textures that are in its folder."""
+    """Copy a mesh, along with its materials and textures that are located in the same folder or below it."""
     from simfoundry.scene.robot_files import companions
 
     beside = mesh.parent.resolve()
@@ -149,9 +154,16 @@ def _copy_mesh(mesh: Path, folder: Path) -> None:
 
 
 def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
-    """Return the tasks of a recipe by rank; empty if its tasks do not vary. ``vlm`` names a model to query.
+    """Return a recipe's tasks in order of rank; empty if the task does not vary.
 
-    Raises :class:`ImpossibleError` if no task is possible in the twin.
+    Args:
+        recipe: The recipe.
+        out: Output folder, in which the tasks are stored for later calls.
+        twin: The twin in which the tasks must be possible.
+        vlm: Name of the model to query, if the recipe uses a model.
+
+    Raises:
+        ImpossibleError: No task is possible in the twin.
     """
     from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
     from simfoundry.robots.reach import hands_of
@@ -176,13 +188,13 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
 
 
 def _task(text: str, path: Path) -> TaskSpec:
-    """Parse a stored task; raises :class:`OutputError` if it has been edited into an invalid one."""
+    """Parse a stored task; raise :class:`OutputError` if edits have made it invalid."""
     try:
         spec, _ = validate(TaskSpec, parse(text))
     except YamlError:
         spec = None
     if spec is None:
-        raise OutputError(f"{path} is damaged; remove it to generate the tasks again")
+        raise OutputError(f"{path} is damaged; delete it to generate the tasks again")
     return spec
 
 
@@ -200,13 +212,23 @@ def prepare(
     progress: Progress | None = None,
     library: Path | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Generate and write the variants of every object of an axis; variants already in the folder are reused.
+    """Generate and write the variants of every object in an axis; reuse variants that already exist in the folder.
 
-    ``sources`` opens the sources other than rules, and is called only if something must be generated; ``library`` is
-    the folder that one of them reads.
+    Args:
+        axis: The axis that lists the objects to vary.
+        scene: Document of the twin's scene.
+        tasks: Tasks that the variants must support.
+        seed: Seed of the random generator.
+        folder: Folder that the variants are written to.
+        sources: Function that opens the sources other than rules; called only if variants must be generated.
+        cache: Cache for lowered objects.
+        progress: Callback that receives the numbers of variants and of examined candidates.
+        library: Folder of the library source, if one is used.
 
-    Return the record of each object, which is also written beside the documents as ``NAME.variants.json``: the names of
-    the ``accepted``, the ``refused`` with reasons, and what the twin itself ``lacks``.
+    Returns:
+        A record for each object, which is also written to ``NAME.variants.json`` in ``folder``. It lists the
+        ``accepted`` variants, the ``refused`` candidates with reasons, and the requirements that the twin itself
+        ``lacks``.
     """
     assert isinstance(scene.spec, SceneSpec)
     lowered, records = None, {}
@@ -232,28 +254,35 @@ def prepare(
 def made_for(
     axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: SourceSetup
 ) -> dict[str, tuple[Path, ...]]:
-    """Return the documents of each object's variants, generated if they do not exist yet.
+    """Return the paths of each object's variant documents, and generate the variants if they do not exist yet.
 
-    Raises :class:`ImpossibleError` for an object without variants (with the results of its candidates) and for a source
-    that is not set up, and :class:`~simfoundry.errors.SimfoundryError` for models that do not answer.
+    Raises:
+        ImpossibleError: All candidates for an object were rejected, or a source is not configured.
+        SimfoundryError: A model does not respond.
     """
     cache, library = Cache.default(), given.library
     records = prepare(axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=library)
     for name, record in records.items():
         if not record["accepted"]:
             tried = len(record["refused"])
-            why = "; ".join(f"{count} times {code}" for code, count in record["reasons"].items())
+            why = "; ".join(f"{code} ({count} times)" for code, count in record["reasons"].items())
             example = record["refused"][0]["reasons"][0]["text"] if tried else "there was no candidate"
-            text = f"`{name}` has no variant among {tried} candidates: {why}; the first: {example}"
+            text = f"all {tried} candidates for variants of `{name}` were rejected: {why}; for example: {example}"
             raise ImpossibleError((Reason("variants", text, {"candidates": float(tried)}),))
     return {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
 
 
 @dataclass(frozen=True)
 class VariantCount:
-    """Number of variants of an object that were requested (``asked``) and ``made``, and of ``candidates`` examined.
+    """Variant counts for an object.
 
-    ``reasons`` counts each reason for rejection, ``examples`` has the text of the first of each.
+    Attributes:
+        name: Name of the object.
+        asked: Number of variants requested.
+        made: Number of variants generated.
+        candidates: Number of candidates examined.
+        reasons: Number of rejections by reason code.
+        examples: Message of the first rejection by reason code.
     """
 
     name: str
@@ -265,7 +294,7 @@ class VariantCount:
 
     @property
     def is_short(self) -> bool:
-        """Return whether fewer variants were made than requested."""
+        """Return whether fewer variants were generated than requested."""
         return self.made < self.asked
 
     def to_json(self) -> dict[str, Any]:
@@ -273,16 +302,16 @@ class VariantCount:
         return {"asked": self.asked, "made": self.made, "candidates": self.candidates, "reasons": dict(self.reasons)}
 
     def __str__(self) -> str:
-        text = f"variants of `{self.name}`: {self.made} of {self.asked} made from {self.candidates} candidates"
+        text = f"variants of `{self.name}`: {self.made} of {self.asked} generated from {self.candidates} candidates"
         if not self.reasons:
             return text
-        rest = "; ".join(f"{count} refused: {code}" for code, count in self.reasons.items())
+        rest = "; ".join(f"{count} rejected: {code}" for code, count in self.reasons.items())
         code = next(iter(self.reasons))
-        return f"{text}; {rest} (such as: {self.examples[code]})" if self.is_short else f"{text}; {rest}"
+        return f"{text}; {rest} (for example: {self.examples[code]})" if self.is_short else f"{text}; {rest}"
 
 
 def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
-    """Return the counts of each object of an axis, from the records in the folder of its variants."""
+    """Return the variant counts for each object in an axis, read from the records in the variants folder."""
     found = []
     for name, wanted in axis.objects.items() if axis is not None else ():
         record = json.loads((folder / f"{name}.variants.json").read_bytes())
@@ -297,9 +326,9 @@ def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
 def _key(
     item: ObjectAsset, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None
 ) -> str:
-    """Return the cache key of an object's variants.
+    """Return the cache key for an object's variants.
 
-    Models enter by their names in the recipe, because their answers differ from call to call.
+    Models contribute only their names in the recipe, because their responses differ from call to call.
     """
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
@@ -310,7 +339,11 @@ def _key(
 
 
 def _read(path: Path, key: str, folder: Path) -> dict[str, Any] | None:
-    """Read the record of variants generated earlier with the same key, if all of their files still exist."""
+    """Read the record of previously generated variants.
+
+    Returns:
+        The record, or None if it has a different key or if a variant's file no longer exists.
+    """
     try:
         record = json.loads(path.read_bytes())
         whole = record["key"] == key and all((folder / one["asset"]).is_file() for one in record["accepted"])

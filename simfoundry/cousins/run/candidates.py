@@ -1,7 +1,7 @@
-"""Sampling of candidate k of a recipe: a pure function of the recipe, its twin, the seed and k, in any process.
+"""Sample the candidates of a recipe.
 
-The axes are sampled in turn: other objects, another layout, distractors, another task. Then the scene is settled and
-checked.
+Candidate k is a pure function of the recipe, its twin, the seed and k, so it is the same in every process. The axes are
+sampled in this order: object variants, layout, distractors, task. The resulting scene is then settled and checked.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
 
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
-"""Factory of the sampler that a worker calls for each candidate."""
+"""Factory for the sampler that a worker calls for each candidate."""
 
 KEPT_TWINS = 8
-"""Number of prepared twins with other or more objects kept in memory, about 10 MB each; recipes with few choices need
-no more.
+"""Maximum number of prepared twins with replaced or added objects to keep in memory. Each takes about 10 MB; recipes
+with few choices do not need more.
 """
 
 
 @dataclass(frozen=True)
 class SamplerSetup:
-    """The recipe, the seed and the output folder: everything that a process needs to sample candidates.
+    """Everything a process needs to sample candidates: the paths of the recipe and the output folder, and the seed.
 
-    ``vlm`` names a model that the process starting a run may query.
+    ``vlm`` is the name of the vision-language model that may be queried by the process that starts a run.
     """
 
     recipe: str
@@ -61,7 +61,7 @@ class SamplerSetup:
 
 @dataclass(frozen=True, eq=False)
 class CandidateSampler:
-    """Samples the candidates of a recipe in one process; all share its twin and variant pool."""
+    """Samples the candidates of a recipe in one process; all candidates share the twin and the variant pool."""
 
     recipe: Recipe
     out: Path
@@ -77,7 +77,7 @@ class CandidateSampler:
         return cls(recipe, out, twin, variant_pool(recipe, out, twin, setup.vlm))
 
     def require_possible(self) -> None:
-        """Raise :class:`ImpossibleError` if the recipe can never be satisfied."""
+        """Raise :class:`ImpossibleError` if the recipe cannot be satisfied by any candidate."""
         twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
         asks = placement_constraints(twin, axis) if axis is not None else None
         places = twin.places if distractors is not None else ()
@@ -88,7 +88,7 @@ class CandidateSampler:
                 raise ImpossibleError(full)
 
     def __call__(self, index: int) -> Candidate:
-        """Return candidate ``index``, counted from 1."""
+        """Return the candidate with the given 1-based index."""
         draw = _draw(self, index)
         if isinstance(draw, Rejected):
             return Candidate(index, reasons=draw.reasons)
@@ -98,7 +98,7 @@ class CandidateSampler:
         return _written(self, draw, found, index)
 
     def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
-        """Return the twin with some objects replaced, and with more objects that are not placed yet."""
+        """Return the twin with the objects in ``others`` replaced and those in ``added`` present but not yet placed."""
         if not others and not added:
             return self.twin
         files = {**{n: choice.file for n, choice in others.items()}, **{n: item.file for n, item in added.items()}}
@@ -114,7 +114,11 @@ class CandidateSampler:
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """A random draw: the ``twin`` with ``others`` replacing its objects and more ``added``, and its ``layout``."""
+    """A random draw from all axes.
+
+    ``others`` are the choices that replace objects in the ``twin``, ``added`` are the distractors, and ``layout``
+    contains the new poses.
+    """
 
     twin: Twin
     layout: Layout
@@ -123,12 +127,12 @@ class _Draw:
 
     @property
     def is_moved(self) -> bool:
-        """Return whether anything differs from the twin, so that the scene must be settled."""
+        """Return whether the scene differs from the twin and therefore must be settled."""
         return bool(self.layout.poses or self.others or self.added)
 
 
 def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
-    """Sample the axes in turn; each has its own random stream, so that adding one does not change the others."""
+    """Sample each axis in turn. Each axis has its own random stream, so adding an axis does not affect the others."""
     by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
     spec, pool = shared.recipe.spec, shared.pool
     if pool.most is not None:
@@ -146,7 +150,10 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
 
 
 def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
-    """Choose distractors from the library, without repetition until all are used, under names new to the scene."""
+    """Choose distractors from the library and give them names that are not used in the scene.
+
+    No distractor is repeated until all have been used.
+    """
     axis = shared.recipe.spec.distractors
     if axis is None:
         return {}
@@ -165,7 +172,7 @@ def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
 
 
 def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
-    """Write the documents of an accepted draw."""
+    """Write the documents for a draw that settled successfully; return the accepted or rejected candidate."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents, moved, goal = dict[str, str](), set[str](), ""
     if found is not None:
@@ -177,7 +184,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
         for text in draw.layout.asked:
             verdict = draw.twin.judge(text, state)
             if not verdict.value:
-                why = f"{text} holds by less than the rounding of written poses: {verdict.why}"
+                why = f"{text} no longer holds when the poses are rounded as written to documents: {verdict.why}"
                 return Candidate(index, reasons=(Reason("too_close", why, {"margin": verdict.margin}),))
         joints = moved_joints(draw.twin.scene, found.state, poses)
         relations = _relations(draw, state, spec.relations)
@@ -199,7 +206,7 @@ def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, inde
 
 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
-    """Reasons why the twin's task is impossible with replaced objects that are each acceptable on their own."""
+    """Return the reasons why the twin's task is impossible with this combination of individually valid variants."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.context import TaskContext
@@ -212,7 +219,7 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
-    """Return the document fields of replaced and new objects, except their poses."""
+    """Return the document fields, except poses, of replaced and added objects."""
     found: dict[str, Data] = {}
     for name, choice in draw.others.items():
         written = shared.recipe.scene_spec.objects[name]
@@ -225,7 +232,7 @@ def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, Data]:
 
 
 def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the relations that hold: those stated by the twin, those requested, and the supports of new objects."""
+    """Return the relations to write: twin relations that still hold, requested ones, and supports of added objects."""
     more = [text for text in draw.layout.asked if text not in stated]
     holds = [text for text in stated if draw.twin.judge(text, state).value]
     for name in draw.added:

@@ -1,12 +1,12 @@
-"""Outputs of a run: its manifest, summaries of its progress, pictures, and a USD stage with all cousins as variants.
+"""Run outputs: the manifest, progress summaries, images, and a USD stage that contains all cousins as variants.
 
-``manifest.json`` has the request, every cousin, and every rejected candidate with its reasons and numbers. It is
-streamed line by line, so it may exceed the memory, and contains no times, paths or numbers of processes: equal runs
-give equal bytes.
+``manifest.json`` contains the request, every cousin, and every rejected candidate with its reasons and numbers. It is
+streamed line by line, so it can be larger than memory. It contains no timestamps, paths or process counts, so equal
+runs produce identical bytes.
 
-The stage ``NAME.usda`` references a build of the twin with the union of all cousins' objects beside it, ``NAME/usd``.
-Each variant of the set ``cousin`` poses moved objects, selects the variants of replaced objects, and deactivates absent
-ones; ``twin`` is the twin itself.
+The stage ``NAME.usda`` references ``NAME/usd``, a build of the twin that also contains the objects from all cousins.
+Each variant in the variant set ``cousin`` poses moved objects, selects the variants of replaced objects, and
+deactivates absent objects. The variant ``twin`` is the twin itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ VERSION = "cousins-run/1"
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
-    """Statistics of a run and of its variants; ``end`` is complete, hopeless or exhausted."""
+    """Return statistics about a run and its object variants; ``end`` is `complete`, `hopeless` or `exhausted`."""
     return {
         "simfoundry": VERSION,
         **plan.about,
@@ -48,7 +48,7 @@ def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
 
 
 def write_manifest(plan: RunPlan, ledger: Ledger) -> Path:
-    """Write the manifest beside the cousins."""
+    """Write the manifest to the folder of the cousins and return its path."""
     path = plan.out / MANIFEST
     with Reader() as reader, writing_atomically(path) as stream:
         head = json.dumps(summary(plan, ledger), indent=1, ensure_ascii=False)
@@ -76,7 +76,10 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
 
 
 def told(ledger: Ledger, top: int = 3) -> str:
-    """Summarize the progress of a run: ``412 of 1000, 69 % accepted; no_room 120, out_of_reach 43``."""
+    """Summarize a run's progress, for example ``412 of 1000, 69% accepted; no_room 120, out_of_reach 43``.
+
+    Only the ``top`` most frequent rejection reasons are listed.
+    """
     text = f"{len(ledger.accepted)} of {ledger.wanted}"
     if ledger.examined:
         text += f", {ledger.rate:.0%} accepted"
@@ -86,7 +89,10 @@ def told(ledger: Ledger, top: int = 3) -> str:
 
 
 def examples(ledger: Ledger) -> dict[str, str]:
-    """Return an example of each reason, most frequent first: the sentence for the first candidate that it rejected."""
+    """Return an example message for each rejection reason, ordered by decreasing frequency.
+
+    The example is the message for the first candidate that was rejected for that reason.
+    """
     found: dict[str, str] = {}
     with Reader() as reader:
         for place in ledger.counted():
@@ -98,11 +104,15 @@ def examples(ledger: Ledger) -> dict[str, str]:
 
 
 WIDTH = 384
-"""Image size [px]."""
+"""Image width [px]."""
 
 
 def draw(file: Path) -> bytes | None:
-    """Render a PNG of a scene from its viewpoint, or its first camera; None if it has no camera."""
+    """Render a scene from its viewpoint, or else from its first camera.
+
+    Returns:
+        The image as PNG data, or None if the scene has no camera.
+    """
     from simfoundry.assets.cache import Cache
     from simfoundry.render.montage import png_bytes
     from simfoundry.scene.lower import lower
@@ -125,7 +135,7 @@ def draw(file: Path) -> bytes | None:
 # -- USD stage ---------------------------------------------------------------------------------------------------------
 
 SET, TWIN = "cousin", "twin"
-"""Name of the variant set, and of its variant for the twin."""
+"""Names of the variant set and of the variant that represents the twin."""
 
 _HEAD = """\
 #usda 1.0
@@ -152,11 +162,15 @@ Objects = Mapping[str, Mapping[str, Any]]
 
 
 def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Path:
-    """Write the stage of a run's cousins; raises :class:`OutputError` if they have no scenes of their own."""
+    """Write a stage that contains all cousins of a run to ``path`` and return the path.
+
+    Raises:
+        OutputError: The file name does not end with `.usda`.
+    """
     from simfoundry.targets.build import build
 
     if path.suffix != ".usda":
-        raise OutputError(f"a stage is written as text; name it {path.with_suffix('.usda').name}")
+        raise OutputError(f"stages are written in text format; name the file {path.with_suffix('.usda').name}")
     added: dict[str, Mapping[str, Any]] = {}
     others: dict[str, dict[str, str]] = {}
     for _, objects in _cousins(ledger):
@@ -179,7 +193,7 @@ def write_stage(plan: RunPlan, ledger: Ledger, recipe: Recipe, path: Path) -> Pa
 
 
 def _cousins(ledger: Ledger) -> Iterator[tuple[int, Objects]]:
-    """Yield the object entries of each cousin's document."""
+    """Yield the index of each cousin that has its own scene, with the object entries in its document."""
     with Reader() as reader:
         for place in ledger.counted():
             candidate = reader.candidate(place) if place.accepted else Candidate(0)
@@ -192,7 +206,7 @@ def _variant(asset: str) -> str:
 
 
 def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, Mapping[str, str]]) -> Any:
-    """Lower the twin's scene with all objects that cousins add, and with replacements as variants."""
+    """Lower the twin's scene with all objects added by cousins, and with their replacements as variants."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
@@ -213,7 +227,7 @@ def _whole(plan: RunPlan, recipe: Recipe, added: Objects, others: Mapping[str, M
 
 
 def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:
-    """Format one variant of the set."""
+    """Format one variant of the variant set."""
     lines = [f'        "{name}" {{', '            over "Objects"', "            {"]
     lines += [f'                over "{other}" (active = false) {{}}' for other in added if other not in objects]
     for own, data in objects.items():

@@ -1,11 +1,12 @@
-"""The log and the state of a run, and its end, which depend only on the candidates themselves.
+"""Examine candidates until a run is complete, log the results, and resume interrupted runs.
 
-Cousins are the first N accepted candidates by index. Candidates beyond the last of them, or examined out of order,
-change nothing, so the result does not depend on workers, their order, kills or shards.
+The cousins are the first N accepted candidates by index. Candidates that are examined out of order or beyond the last
+cousin do not affect the result. It therefore does not depend on the number of workers, their scheduling, kills or
+shards.
 
-The log is append-only: a kill at any moment loses at most one line. ``OUT/.cousins/log.jsonl`` belongs to complete
-runs, ``log-2-of-4.jsonl`` to a shard. Each line is flushed to disk before the next is written; a torn line is ignored,
-and truncated before anything is appended.
+The log is append-only, so a kill at any point loses at most one line. ``OUT/.cousins/log.jsonl`` records full runs, and
+``log-2-of-4.jsonl`` records a shard. Each line is flushed to disk before the next one is written. A truncated line is
+ignored and removed before anything is appended.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ if TYPE_CHECKING:
     from simfoundry.cousins.recipe.variant_pool import VariantCount
 
 WORK = ".cousins"
-"""Folder of a run's internal files below its output."""
+"""Subfolder of the output folder for a run's internal files."""
 
 WHOLE = "log.jsonl"
 
 
 class LogEntry(NamedTuple):
-    """The position of a candidate's line in a log, and whether the candidate is accepted."""
+    """The location of a candidate's line in a log, and whether the candidate was accepted."""
 
     file: Path
     start: int
@@ -44,17 +45,17 @@ class LogEntry(NamedTuple):
 
 
 def log_file(out: Path, shard: tuple[int, int] | None) -> Path:
-    """Return the log file of a run, or of its shard (i, n)."""
+    """Return the path of the log for a full run, or for the shard (i, n)."""
     return out / WORK / (WHOLE if shard is None else f"log-{shard[0]}-of-{shard[1]}.jsonl")
 
 
 def logs(out: Path) -> list[Path]:
-    """Return every log of a folder of cousins, starting with that of the complete run."""
+    """Return the paths of all logs in an output folder, starting with the log of the full run."""
     return sorted((out / WORK).glob("log*.jsonl"), key=lambda path: (path.name != WHOLE, path.name))
 
 
 def read_places(file: Path) -> dict[int, LogEntry]:
-    """Index the complete lines of a log by candidate; raises :class:`OutputError` if the file is not a log."""
+    """Index the complete lines in a log by candidate; raise :class:`OutputError` if the file is not a log."""
     found: dict[int, LogEntry] = {}
     if not file.is_file():
         return found
@@ -62,13 +63,13 @@ def read_places(file: Path) -> dict[int, LogEntry]:
         start = 0
         for number, line in enumerate(stream, 1):
             if not line.endswith(b"\n"):
-                break  # torn by a kill
+                break  # truncated by a kill
             try:
                 index = int(json.loads(line)["index"])
             except (ValueError, KeyError, TypeError):
                 raise OutputError(
-                    f"{file}:{number} is not a line of a log of cousins; move the file away to have its candidates "
-                    "examined again"
+                    f"{file}:{number} is not a valid line in a cousins log; move the file elsewhere to examine its "
+                    "candidates again"
                 ) from None
             found[index] = LogEntry(file, start, len(line), b'"reasons":' not in line[:40])
             start += len(line)
@@ -76,25 +77,25 @@ def read_places(file: Path) -> dict[int, LogEntry]:
 
 
 class Reader(ExitStack):
-    """Reader of candidates at known positions; files stay open between reads."""
+    """Reads candidates at known positions and keeps the log files open between reads."""
 
     def __init__(self) -> None:
         super().__init__()
         self._open: dict[Path, int] = {}
 
     def line(self, place: LogEntry) -> bytes:
-        """Read the line at a position."""
+        """Return the line at a position."""
         if place.file not in self._open:
             self._open[place.file] = self.enter_context(place.file.open("rb")).fileno()
         return os.pread(self._open[place.file], place.length, place.start)
 
     def candidate(self, place: LogEntry) -> Candidate:
-        """Read the candidate at a position."""
+        """Return the candidate at a position."""
         return Candidate.of(self.line(place))
 
 
 class Log(ExitStack):
-    """An append-only log with a single writer process; its lock is released when it is closed."""
+    """An append-only log that a single process may write to; closing the log releases its lock."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -103,7 +104,7 @@ class Log(ExitStack):
         self._stream = self.enter_context(file.open("ab"))
         _lock(self._stream.fileno(), file)
         with file.open("rb") as stream:
-            end = sum(len(line) for line in stream if line.endswith(b"\n"))  # a torn line is cut off
+            end = sum(len(line) for line in stream if line.endswith(b"\n"))  # removes a truncated line
         self._stream.truncate(end)
         self._stream.seek(end)
 
@@ -118,9 +119,14 @@ class Log(ExitStack):
 
 
 def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int, LogEntry]:
-    """Replace all logs by a single one with the lines at ``places``, by index and in their order.
+    """Replace all logs with a single log.
 
-    Return the new positions.
+    Args:
+        out: Output folder of the run.
+        places: Candidate indices and the positions of their lines, in the order in which to write them.
+
+    Returns:
+        The new positions by candidate index.
     """
     old, now = logs(out), dict[int, LogEntry]()
     whole, start = out / WORK / WHOLE, 0
@@ -136,7 +142,7 @@ def replace_logs(out: Path, places: Iterable[tuple[int, LogEntry]]) -> dict[int,
 
 
 def _lock(handle: int, file: Path) -> None:
-    """Lock the file until it is closed; does nothing on file systems without locks."""
+    """Lock the file until it is closed; do nothing on file systems that do not support locks."""
     with suppress(ImportError, OSError):
         import fcntl
 
@@ -144,19 +150,19 @@ def _lock(handle: int, file: Path) -> None:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise OutputError(
-                f"another run writes to {file.parent.parent} at the moment; wait for it to end, or stop it"
+                f"another run is writing to {file.parent.parent}; wait until it ends, or stop it"
             ) from None
 
 
 PATIENCE = 200
-"""Number of candidates examined before a recipe may count as too hard."""
+"""Minimum number of candidates to examine before a recipe can be judged too hard."""
 
 LEAST_RATE = 0.005
-"""Minimum acceptance rate; below it a recipe counts as too hard."""
+"""Minimum acceptance rate, below which a recipe is judged too hard."""
 
 
 class RunEnd(StrEnum):
-    """The end of a run, or OPEN while it goes on."""
+    """The reason why a run ended, or OPEN while it continues."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -166,11 +172,19 @@ class RunEnd(StrEnum):
 
 @dataclass
 class Ledger:
-    """Counts candidates ``first``, ``first + step``, … in this order, up to the first unknown one.
+    """Counts the candidates ``first``, ``first + step``, … in this order, up to the first one not yet examined.
 
-    ``wanted`` is the number to accept; ``most`` is the last existing index, None if unbounded. ``known`` maps
-    candidates to their log entries; ``accepted`` lists the counted accepted ones, ``totals`` the number of rejections
-    per reason, and ``unchecked`` the checks that could not be made for some accepted ones.
+    Attributes:
+        wanted: Number of candidates to accept.
+        first: Index of the first candidate.
+        step: Difference between consecutive indices; greater than 1 for a shard.
+        most: Highest existing index, or None if the number of candidates is unbounded.
+        known: Log entries of all examined candidates by index.
+        accepted: Indices of the counted candidates that were accepted.
+        totals: Number of counted candidates rejected for each reason.
+        unchecked: Checks that could not be performed for at least one accepted candidate.
+        next_index: Index of the first candidate that is not counted yet.
+        end: Reason why the run ended, or OPEN.
     """
 
     wanted: int
@@ -199,11 +213,16 @@ class Ledger:
 
     @property
     def rate(self) -> float:
-        """Share of the counted candidates that are accepted."""
+        """Fraction of the counted candidates that were accepted."""
         return len(self.accepted) / self.examined if self.examined else 0.0
 
     def advance(self, reader: Reader, settled: Callable[[Candidate], None]) -> None:
-        """Count further, until a candidate is unknown or the run ends."""
+        """Continue counting until a candidate has not been examined yet or the run ends.
+
+        Args:
+            reader: Reads the candidates from the logs.
+            settled: Called with each newly counted candidate that was accepted.
+        """
         while self.end is RunEnd.OPEN and self.next_index in self.known:
             place = self.known[self.next_index]
             candidate = reader.candidate(place)
@@ -218,15 +237,15 @@ class Ledger:
             self.end = RunEnd.EXHAUSTED
 
     def counted(self) -> Iterator[LogEntry]:
-        """Yield the log entries of the counted candidates in order."""
+        """Yield the log entries of the counted candidates, in order."""
         return (self.known[k] for k in self.indices())
 
     def indices(self) -> range:
-        """Indices of the counted candidates, in order."""
+        """Return the indices of the counted candidates, in order."""
         return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
-        """Yield unknown indices in order, without end if the number of candidates is unbounded."""
+        """Yield the indices of unexamined candidates in order; infinite if the number of candidates is unbounded."""
         index = self.next_index
         while not self._is_beyond(index):
             if index not in self.known:
@@ -245,12 +264,12 @@ class Ledger:
 
 
 AHEAD = 32
-"""Number of candidates per worker that may be examined ahead of the first unknown one, which limits memory
-and wasted work.
+"""Maximum number of candidates per worker to examine ahead of the first unexamined one; limits memory use and wasted
+work.
 """
 
 MANIFEST = "manifest.json"
-"""File of the final report of a run, in its folder."""
+"""File name of a run's final report in the output folder."""
 
 Heard = Callable[[Ledger], None]
 """Callback that receives the ledger after each candidate."""
@@ -258,10 +277,16 @@ Heard = Callable[[Ledger], None]
 
 @dataclass(frozen=True)
 class RunPlan:
-    """The aim of a run: ``wanted`` cousins in ``out``; equal ``about`` gives equal bytes.
+    """The parameters of a run.
 
-    ``shard`` (i, n), with i from 1, examines every n-th candidate starting at i, and writes no cousins. ``most`` is the
-    number of candidates, None if unbounded; ``variants`` are the counts for each object that varies.
+    Attributes:
+        out: Output folder.
+        wanted: Number of cousins to generate.
+        about: Fingerprint of the run; runs with equal fingerprints produce identical bytes.
+        shard: (i, n) to examine only every n-th candidate, starting with candidate i (1-based), and to write no
+            cousins; None for a full run.
+        most: Number of candidates, or None if it is unbounded.
+        variants: Variant counts for each object that varies.
     """
 
     out: Path
@@ -272,7 +297,7 @@ class RunPlan:
     variants: tuple[VariantCount, ...] = ()
 
     def ledger(self) -> Ledger:
-        """Return an empty ledger; a shard accepts its share of the wanted cousins."""
+        """Return an empty ledger; a shard must accept only its fraction of the wanted cousins."""
         if self.shard is None:
             return Ledger(self.wanted, most=self.most)
         first, step = self.shard
@@ -280,36 +305,47 @@ class RunPlan:
 
 
 def begin(plan: RunPlan) -> None:
-    """Create the folder of a run, or verify that an existing one has the same fingerprint; raises
-    :class:`OutputError`.
+    """Create the output folder of a run, or check that an existing folder belongs to a run with the same fingerprint.
+
+    Raises:
+        OutputError: The folder belongs to a different run, contains unrelated files, or is damaged.
     """
     path = plan.out / WORK / "run.json"
     if path.is_file():
         try:
             found = dict(json.loads(path.read_text(encoding="utf-8")))
         except (ValueError, TypeError):
-            raise OutputError(f"{path} is damaged; remove it to continue the run from its logs") from None
+            raise OutputError(f"{path} is damaged; delete it to resume the run from its logs") from None
         for key, value in plan.about.items():
             if found.get(key) != value:
                 differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
                 raise OutputError(
-                    f"{plan.out} holds cousins of another run: its {key} {differs}; choose another folder or remove "
-                    "this one"
+                    f"{plan.out} contains cousins from a different run: its {key} {differs}; choose another folder or "
+                    "delete this one"
                 )
         return
     strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []
     if strange:
         raise OutputError(
-            f"{plan.out} holds {sorted(strange)[0]}, which does not belong to a run of cousins; choose an empty folder"
+            f"{plan.out} contains {sorted(strange)[0]}, which was not written by a cousins run; choose an empty folder"
         )
     write_atomically(path, (json.dumps(plan.about, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
-    """Examine candidates until the plan is met or cannot be; candidates in the logs are not examined again."""
+    """Examine candidates until the plan is fulfilled or fails; candidates in the logs are not examined again.
+
+    Args:
+        plan: Parameters of the run.
+        pool: Function that opens the worker pool; called only if there are candidates to examine.
+        heard: Called with the ledger after each candidate.
+
+    Returns:
+        The final ledger.
+    """
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
-        if plan.shard is None:  # documents and manifests of killed runs; the log's lock excludes other runs
+        if plan.shard is None:  # delete temporary files of killed runs; the log's lock excludes concurrent runs
             for left in (*plan.out.glob(".[0-9]*.yaml.*"), *plan.out.glob(f".{MANIFEST}.*")):
                 left.unlink(missing_ok=True)
         ledger = plan.ledger()
@@ -334,17 +370,17 @@ def run(plan: RunPlan, pool: Callable[[], CandidatePool], heard: Heard = lambda 
 
 
 def _see_no_more(plan: RunPlan, ledger: Ledger) -> None:
-    """Raise :class:`OutputError` if the folder has cousins beyond the wanted number."""
+    """Raise :class:`OutputError` if the folder contains more cousins than requested."""
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         raise OutputError(
-            f"{plan.out} holds {len(beyond)} documents of cousins beyond the {plan.wanted} requested; "
-            "choose another folder, or request as many as before"
+            f"{plan.out} contains {len(beyond)} documents of cousins beyond the {plan.wanted} requested; "
+            "choose another folder, or request as many cousins as before"
         )
 
 
 def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
-    """Yield newly examined candidates as they finish; keep the pool busy until the ledger reaches its end."""
+    """Yield newly examined candidates as they finish, and keep the pool busy until the run ends."""
     todo, running = ledger.unknown(), 0
     index, ahead = next(todo, None), AHEAD * ledger.step * pool.size
     while ledger.end is RunEnd.OPEN:
@@ -357,7 +393,7 @@ def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
 
 
 def write_documents(out: Path, candidate: Candidate) -> None:
-    """Write the documents of a cousin, unless identical ones exist."""
+    """Write a cousin's documents, unless identical files already exist."""
     for kind, name in candidate.files().items():
         path, data = out / name, candidate.documents[kind].encode()
         if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):
@@ -365,5 +401,5 @@ def write_documents(out: Path, candidate: Candidate) -> None:
 
 
 def finish(plan: RunPlan, ledger: Ledger) -> None:
-    """Reduce the logs to a single one that contains exactly the counted candidates in order."""
+    """Merge the logs into a single log that contains exactly the counted candidates, in order."""
     ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

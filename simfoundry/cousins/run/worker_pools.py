@@ -1,6 +1,6 @@
-"""Worker pools that examine candidates: local processes or a Ray cluster; both give the same candidates.
+"""Worker pools that examine candidates in local processes or on a Ray cluster, with identical results.
 
-A pool receives indices and returns candidates in order of completion.
+A pool receives candidate indices and returns the candidates in order of completion.
 """
 
 from __future__ import annotations
@@ -19,86 +19,93 @@ from simfoundry.runtime.extras import install_line
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
 SILENCE_S = 600.0
-"""Timeout of a candidate [s], including the preparation of its process before the first one."""
+"""Timeout for examining a candidate [s]; for the first candidate of a process, this includes starting the process."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """The job of a worker process: call the object that ``factory`` (``module:name``) creates from ``arguments``."""
+    """The job of a worker process: create a sampler and call it for each candidate.
+
+    ``factory`` (``module:name``) is called with ``arguments`` to create the sampler.
+    """
 
     factory: str
     arguments: tuple[Any, ...] = ()
 
     def sampler(self) -> Callable[[int], Candidate]:
-        """Create the function that samples a candidate by index."""
+        """Create the function that returns the candidate with a given index."""
         module, _, name = self.factory.partition(":")
         made: Callable[[int], Candidate] = attrgetter(name)(import_module(module))(*self.arguments)
         return made
 
 
 _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
-"""Sampler of a worker process, created for its first candidate; a worker serves one run and ends with it."""
+"""Sampler of this worker process, created for its first candidate; a worker process serves only one run."""
 
 
 def line_of(work: Work, index: int) -> str:
-    """Return the serialized line of a candidate, the format passed between processes."""
+    """Return a candidate serialized to one line, the format in which processes exchange candidates."""
     if work not in _SAMPLERS:
         _SAMPLERS[work] = work.sampler()
     return _SAMPLERS[work](index).line()
 
 
 class CandidatePool(Protocol):
-    """A pool that examines ``size`` candidates at a time."""
+    """A pool that examines up to ``size`` candidates concurrently."""
 
     size: int
 
     def submit(self, index: int) -> None:
-        """Request a candidate."""
+        """Submit the index of a candidate to examine."""
 
     def next(self) -> Candidate:
-        """Return the next of the requested candidates to finish."""
+        """Wait until any submitted candidate has been examined, and return it."""
 
     def close(self) -> None:
-        """Stop all work in progress."""
+        """Stop all workers, including those that are busy."""
 
 
 class LocalPool:
-    """Local processes; a candidate whose process crashes or hangs is tried once more, and then rejected."""
+    """A pool of local processes.
+
+    If a process crashes or hangs, its candidate is retried once and then rejected.
+    """
 
     def __init__(self, work: Work, size: int) -> None:
         self.work, self.size = work, size
         self._pool = WorkerPool(size, Limits.shared(SILENCE_S, size))
 
     def submit(self, index: int) -> None:
-        """Request a candidate."""
+        """Submit the index of a candidate to examine."""
         self._pool.submit(index, f"{__name__}:line_of", self.work, index, attempts=2)
 
     def next(self) -> Candidate:
-        """Wait for the next candidate."""
+        """Wait until any submitted candidate has been examined, and return it."""
         index, result = self._pool.next()
         return failed(index, result.how) if isinstance(result, WorkerError) else Candidate.of(result)
 
     def close(self) -> None:
-        """End the processes."""
+        """Stop the worker processes."""
         self._pool.close()
 
 
 def failed(index: int, how: str) -> Candidate:
-    """Return a candidate whose only known result is the failure of its process."""
+    """Return a candidate that was rejected because its process failed."""
     return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
 
 
 class RayPool:
-    """Actors on a Ray cluster: the one named by ``RAY_ADDRESS``, or a new one on this machine.
+    """A pool of actors on a Ray cluster.
 
-    Every node must see the recipe and the output under the same paths, for example on a shared file system.
+    The pool connects to the cluster specified by ``RAY_ADDRESS``, or starts one on this machine. The paths of the
+    recipe and the output folder must be valid on every node, for example on a shared file system.
     """
 
     def __init__(self, work: Work, size: int | None) -> None:
         try:
             import ray as module
         except ModuleNotFoundError:
-            raise MissingEngineError(f"`--on ray` needs ray; install with `{install_line('ray')}`") from None
+            raise MissingEngineError(f"`--on ray` requires ray; install it with `{install_line('ray')}`") from None
         ray: Any = module
         self._ray, self._owns = ray, not ray.is_initialized()
         if self._owns:
@@ -110,12 +117,12 @@ class RayPool:
         self._running: dict[Any, tuple[int, Any]] = {}
 
     def submit(self, index: int) -> None:
-        """Request a candidate."""
+        """Submit the index of a candidate to examine."""
         self._waiting.append(index)
         self._hand_out()
 
     def next(self) -> Candidate:
-        """Wait for the next candidate."""
+        """Wait until any submitted candidate has been examined, and return it."""
         done, _ = self._ray.wait(list(self._running), num_returns=1)
         index, actor = self._running.pop(done[0])
         self._idle.append(actor)
@@ -126,7 +133,7 @@ class RayPool:
             return failed(index, f"failed ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
 
     def close(self) -> None:
-        """End the actors, and the cluster if it was started here."""
+        """Stop the actors, and disconnect from or shut down the cluster if this pool connected to it."""
         for actor in [*self._idle, *(actor for _, actor in self._running.values())]:
             self._ray.kill(actor)
         if self._owns:
@@ -139,7 +146,7 @@ class RayPool:
 
 
 class _Actor:
-    """A process of a cluster."""
+    """A worker process on a Ray cluster."""
 
     def __init__(self, work: Work) -> None:
         self.sampler = work.sampler()
@@ -149,11 +156,10 @@ class _Actor:
 
 
 def _connect(ray: Any, size: int | None) -> None:
-    """Connect to the cluster of ``RAY_ADDRESS``, or start one on this machine with the same import path as this
-    process.
+    """Connect to the cluster at ``RAY_ADDRESS``, or start one on this machine with this process's import path.
 
-    Ray puts the driver's working directory first on the import path, which inside a checkout would shadow the installed
-    package. Therefore Ray is started from an empty folder.
+    Ray puts the driver's working directory first on the import path. Inside a checkout, it would shadow the installed
+    package, so Ray is started from an empty folder.
     """
     import logging
     import sys
@@ -171,5 +177,11 @@ def _connect(ray: Any, size: int | None) -> None:
 
 
 def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> CandidatePool:
-    """Open a pool of ``jobs`` ``local`` processes or actors on ``ray``, by default one per core."""
+    """Open a worker pool.
+
+    Args:
+        work: Job of each worker.
+        where: `ray` to use a Ray cluster, anything else to use local processes.
+        jobs: Number of workers; by default one per core.
+    """
     return RayPool(work, jobs) if where == "ray" else LocalPool(work, jobs or os.cpu_count() or 1)

@@ -1,1 +1,1 @@
-"""Task cousins: other feasible tasks in a scene, proposed from its affordances or by a model, and verified."""
+"""Task cousins: other feasible tasks in a scene, derived from its affordances or proposed by a model, then verified."""

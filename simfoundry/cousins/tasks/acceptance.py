@@ -1,4 +1,7 @@
-"""Acceptance of proposed tasks: names exist, the goal requires a change, it is feasible, and it is new."""
+"""Accept or reject proposed tasks.
+
+All names in the goal must exist, the goal must require a change and be feasible, and the task must be new.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,9 @@ MOST_PREDICATES = 16
 
 @dataclass(frozen=True, eq=False)
 class AcceptedTask:
-    """A feasible task, by its name and goal.
+    """A feasible task, identified by its name and goal.
 
-    ``state`` is a state at rest in which the goal holds; None if that requires a hand to hold an object.
+    ``state`` is a state at rest in which the goal holds, or None if the goal requires a hand to hold an object.
     """
 
     name: str
@@ -32,7 +35,7 @@ class AcceptedTask:
     state: SceneState | None = None
 
     def covers(self, goal: Any, setting: TaskContext) -> bool:
-        """Return whether reaching this goal also reaches another goal about the same objects."""
+        """Return whether completing this task also achieves another goal about the same objects."""
         if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
             return False
         return setting.twin.judge(goal, self.state).value
@@ -41,9 +44,12 @@ class AcceptedTask:
 def accept(
     task: TaskSpec | Any, setting: TaskContext, known: Sequence[AcceptedTask] = ()
 ) -> AcceptedTask | tuple[Reason, ...]:
-    """Return a task, or a goal alone, with a state in which it is achieved; or the reasons for refusing it.
+    """Accept or reject a task or a bare goal.
 
-    It is refused if one of the ``known`` tasks has the same goal, or ends in a state in which this one is achieved too.
+    A task is also rejected if a ``known`` task has the same goal, or ends in a state in which this goal holds too.
+
+    Returns:
+        The accepted task with a state in which its goal holds, or the reasons for rejection.
     """
     name, goal = (task.name, task.goal) if isinstance(task, TaskSpec) else ("", task)
     if found := misnamed(goal, setting):
@@ -64,9 +70,10 @@ def accept(
 
 
 def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
-    """Return the known tasks that a stricter new task achieves along the way, by name, each with the reason.
+    """Return the names of known tasks that are always completed along with a new, stricter task, with the reasons.
 
-    The reverse cannot occur, because :func:`accept` has refused a new task that a known one achieves along the way.
+    The reverse case does not need to be handled here, because :func:`accept` rejects new tasks that are completed along
+    with a known one.
     """
     return [
         (other.name, Reason("duplicate", f"it is achieved whenever the stricter task `{new.name}` is"))
@@ -76,7 +83,7 @@ def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskCo
 
 
 def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return reasons for names missing from the scene, and for predicates unknown or not allowed in goals."""
+    """Return reasons for names that do not exist in the scene, and for predicates that are unknown or not allowed."""
     found: list[Reason] = []
     every = [text for text, _ in texts(goal)]
     if not every or len(every) > MOST_PREDICATES:
@@ -107,42 +114,41 @@ def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
         there = robots if kind == "robot" else objects.keys()
         if owner not in there:
             what = "robot" if kind == "robot" else "object"
-            found.append(Reason("unknown_name", f"no {what} is called `{owner}`; {nearest(owner, there) or 'none'}"))
+            hint = nearest(owner, there) or "the scene has none"
+            found.append(Reason("unknown_name", f"no {what} is called `{owner}`; {hint}"))
         elif part:
             item = objects[owner]
             names = [*(link.name for link in item.links), *(joint.name for joint in item.joints)]
             if part not in names:
                 found.append(Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}"))
     if len(call.args) == 2 and call.args[0] == call.args[1]:
-        found.append(Reason("bad_goal", f"{call} needs two different objects"))
+        found.append(Reason("bad_goal", f"{call} requires two different objects"))
     return found
 
 
 def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return a reason if there is nothing to do: the goal holds at the start, or only asks that something not
-    be true.
-    """
+    """Return a reason if the goal requires no change, because it already holds or contains only negated predicates."""
     twin = setting.twin
     try:
         verdict = twin.judge(goal, twin.state)
     except PredicateError as error:
         return (Reason("impossible", str(error)),)
     if verdict.value:
-        return (Reason("already_true", f"it is true at the start: {verdict.why}", {"margin": verdict.margin}),)
+        return (Reason("already_true", f"it already holds initially: {verdict.why}", {"margin": verdict.margin}),)
     if not any(call.predicate != "Released" for way in branches(goal) for call in way):
-        return (Reason("no_change", "it only requires conditions to be false, and none to become true"),)
+        return (Reason("no_change", "it only requires predicates to be false; at least one must become true"),)
     return ()
 
 
 def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return reasons for objects of a goal that no hand can reach at their poses."""
+    """Return a reason if no hand can reach an object in the goal at its current pose."""
     names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
     there = {o.name: o for o in setting.twin.scene.objects}
     found: list[Reason] = []
     for name in names:
         item = there.get(name.partition(".")[0])
         if item is not None and item.name != setting.twin.ground and not found:
-            # Reachable shelf levels and directions were verified in the twin; the top may be too high.
+            # Access to shelf levels from the sides was verified in the twin; an approach from above may be impossible.
             several = levels(setting, name, setting.twin.state)
             reach = setting.too_far if several else setting.cannot_reach
             found += reach(name, *setting.bounds(name))
@@ -150,6 +156,6 @@ def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
 
 
 def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
-    """Return the reasons if no state is found in which a goal is true."""
+    """Return the reasons why a goal is infeasible, or an empty tuple if a state was found in which it is true."""
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

@@ -1,4 +1,4 @@
-"""Candidate poses for placing objects: orientations, and positions at which they are released."""
+"""Candidate orientations and positions for placing objects, and helpers for analyzing goals."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ from simfoundry.spec.models.predicate import Call, parse_call, parts, texts
 
 QUARTER = math.pi / 2
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))
-"""Roll and pitch relative to an object's standing orientation: unchanged, on each of four sides, upside down."""
+"""Roll and pitch [rad] relative to an object's standing orientation: unchanged, lying on each of four sides, and upside
+down.
+"""
 
 YAWS = (0.0, QUARTER, QUARTER / 2)
 SPREAD = np.array([(1 / 2, 1 / 3), (1 / 4, 2 / 3), (3 / 4, 1 / 9), (1 / 8, 4 / 9), (5 / 8, 7 / 9), (3 / 8, 2 / 9)])
-"""Positions over a target besides its center and that of its cavity, as shares of its extents: the first six points of
-the Halton sequence with bases 2 and 3, which cover any rectangle evenly.
+"""Positions above a target to try in addition to the centers of the target and its cavity, as fractions of its extents.
+They are the first six points of the Halton sequence with bases 2 and 3, which cover any rectangle evenly.
 """
 
 STILL = 1e-3
-"""Displacement [m] up to which an object counts as unmoved; levels have one height within a millimeter."""
+"""Displacement [m] up to which an object is considered unmoved, equal to the height tolerance of a level surface."""
 
 GAPS = (0.02, 0.05, 0.1)
-"""Gap between objects placed beside each other [m]."""
+"""Gaps between objects placed beside each other [m]."""
 
 AROUND = ("Behind", "InFrontOf", "LeftOf", "RightOf")
-"""Sides on which an object is tried that must be next to another, in this order."""
+"""Sides to try, in this order, for an object that must be next to another object."""
 
 
 def turns(setting: TaskContext, name: str) -> list[Array]:
-    """Orientations of an object to try as quaternions (wxyz), its standing orientation first."""
+    """Return the orientations of an object to try as quaternions (wxyz), starting with its standing orientation."""
     item = setting.twin.scene.object(name)
     standing = Pose.of(q=setting.twin.state.poses[name].q)
     round_ = all(c.geometry.__class__.__name__ == "Sphere" for link in item.links for c in link.colliders)
@@ -52,7 +54,10 @@ def turns(setting: TaskContext, name: str) -> list[Array]:
 
 
 def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
-    """Positions of an object's center to try for a predicate: x, y in the world [m], the most likely first."""
+    """Return the positions of an object's center to try for a predicate, the most promising first.
+
+    The positions are x and y in the world [m].
+    """
     if call.predicate in AXES or call.predicate == "NextTo":
         return list(_beside(setting, call, state))
     if call.predicate == "At":
@@ -73,11 +78,12 @@ def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tupl
 
 
 def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
-    """Return the levels of an object that has several, the highest first; empty if it is not at its pose in the twin.
+    """Return the level surfaces of an object, highest first.
 
-    For a target that names a link, only levels of that link are returned.
+    The result is empty if there is only one level, if the object has moved from its pose in the twin, or if the target
+    is a link.
     """
-    X_WO = setting.twin.state.poses.get(target)  # links have no entry
+    X_WO = setting.twin.state.poses.get(target)  # None for links
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
         return ()
     found = setting.twin[target].levels[::-1]
@@ -85,14 +91,14 @@ def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Suppor
 
 
 def spots(level: Support) -> Iterator[tuple[float, float]]:
-    """Yield positions on a level: x and y in the world [m], its center first."""
+    """Yield positions on a level surface as x and y in the world [m], starting with its center."""
     yield level.middle
     low, high = level.bounds
     yield from map(tuple, (low + SPREAD * (high - low)).tolist())
 
 
 def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
-    """Center of the cavity of an object or link in the world [m], shape (3,); None without a cavity."""
+    """Return the center of an object's or link's cavity in the world [m], shape (3,), or None without a cavity."""
     owner = target.partition(".")[0]
     for link, found in cavities(setting, target):
         item = setting.twin.scene.object(owner)
@@ -102,7 +108,7 @@ def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None
 
 
 def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
-    """Cavities of the links that a target names."""
+    """Return the cavities of the links that a target refers to, with the name of each link."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
     body = bodies[thing.owner]
@@ -111,7 +117,7 @@ def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
 
 
 def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
-    """Return whether a point in a link's frame [m], shape (3,), is outside of all its parts."""
+    """Return whether a point in a link's frame [m], shape (3,), is outside all parts of the link."""
     body = Bodies(setting.twin.scene)[owner]
     form = body.forms[body.index(link)]
     parts = [] if form is None else range(len(form.parts.radius))
@@ -119,14 +125,14 @@ def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
 
 
 def cavity_words(setting: TaskContext, target: str) -> str:
-    """Describe the size of an object's cavity as a phrase."""
+    """Return a phrase that describes the size of an object's cavity; empty without a cavity."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
     return ""
 
 
 def across(hole: Cavity) -> float:
-    """Largest width of a cavity [m], from its bounding sphere."""
+    """Return the largest width of a cavity [m], estimated from its bounding sphere."""
     return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
 
 
@@ -146,18 +152,19 @@ SYMMETRIC = ("NextTo", "Touching")
 """Symmetric predicates."""
 
 MIRRORED = {"Under": "Above", "RightOf": "LeftOf", "InFrontOf": "Behind"}
-"""Predicates that equal another with its arguments swapped."""
+"""Predicates that are equivalent to another predicate with its arguments swapped."""
 
 AT_REST = ("OnTop", "Inside")
-"""Predicates that already require the first argument to be released; Released adds nothing to them."""
+"""Predicates that already require the first argument to be released, so that `Released` is redundant."""
 
 Meaning = tuple[Any, ...]
 
 
 def meaning(goal: Any) -> Meaning:
-    """Return a goal's normal form, which ignores order, repetition, synonyms and an implied Released.
+    """Return a goal's normal form, in which order, repetition, synonyms and a redundant `Released` do not matter.
 
-    Raises :class:`~simfoundry.spec.models.predicate.ExpressionError` if it is not a goal.
+    Raises:
+        ExpressionError: The goal contains an invalid expression.
     """
     found = _reduced(goal)
     if found[0] != "all":
@@ -189,7 +196,7 @@ def _call(call: Call) -> tuple[str, ...]:
 
 
 def conjuncts(condition: Any) -> list[Call]:
-    """Return the predicates that must all become true; those below ``any`` and ``not`` are excluded."""
+    """Return the predicates that must all be true, excluding predicates inside ``any`` and ``not``."""
     tag, below = parts(condition)
     if tag == "text":
         return [parse_call(condition)]
@@ -197,14 +204,14 @@ def conjuncts(condition: Any) -> list[Call]:
 
 
 def objects_of(condition: Any) -> tuple[str, ...]:
-    """Names of the objects and robots in a goal, in its order."""
+    """Return the names of the objects and robots in a goal, in order of appearance."""
     calls = [parse_call(text) for text, _ in texts(condition)]
     named = [arg for call in calls for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"]
     return tuple(dict.fromkeys(name.partition(".")[0] for name in named))
 
 
 def goal_words(condition: Any) -> str:
-    """Format a goal as one line: ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
+    """Format a goal as a single line, for example ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
     tag, below = parts(condition)
     if tag == "text":
         return str(condition)
@@ -215,7 +222,7 @@ def goal_words(condition: Any) -> str:
 
 
 def branches(condition: Any) -> list[list[Call]]:
-    """Return alternative sets of predicates that make a goal true; negated conditions are excluded."""
+    """Return alternative lists of predicates, each of which makes a goal true; negated conditions are ignored."""
     tag, below = parts(condition)
     if tag == "text":
         return [[parse_call(condition)]]
@@ -230,4 +237,4 @@ def branches(condition: Any) -> list[list[Call]]:
 
 
 MOST = 8
-"""Maximum number of alternatives tried."""
+"""Maximum number of alternatives to try."""

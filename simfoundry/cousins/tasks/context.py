@@ -1,5 +1,6 @@
-"""Context of a task: the twin, the hands that act in it, and the directions from which they can reach an object: from
-above, or, if it is covered, from an open side.
+"""The context of a task: the twin, the hands that act in it, and the directions from which they can reach objects.
+
+An object is reached from above or, if it is covered, from an open side.
 """
 
 from __future__ import annotations
@@ -33,33 +34,39 @@ if TYPE_CHECKING:
 UP = np.array([0.0, 0.0, 1.0])
 
 ROOM = 0.3
-"""Free distance required in the direction of approach [m]: a hand and the wrist that follows it, 0.25 m for a Panda."""
+"""Free distance required along the approach direction [m], enough for a hand and the wrist behind it (0.25 m for a
+Panda).
+"""
 
 LIFT = 0.01
-"""Lift height of an object on its way in or out [m]: more than a board's sag and the height of its lip."""
+"""Height by which an object is lifted on its way in or out [m]; more than a board's sag or the height of its lip."""
 
 FINGERS = 0.04
-"""Finger length beyond the hand [m]: the shortest of the known ones, that of a Panda, 0.045 m."""
+"""Length of the fingers beyond the hand [m]; the shortest known fingers, a Panda's, are 0.045 m long."""
 
 HALF_THICK, HALF_WIDE = 0.035, 0.1
 """Half extents of a hand across and along the finger motion [m]; a Panda's hand is 63 mm thick and 204 mm wide."""
 
 TURNS, TILTS = 12, (0.0, math.radians(30.0))
-"""Number of directions around an object, and the downward pitch of a side approach [rad]: level, or slightly inclined
-to clear the board on which a low object lies.
+"""Number of directions around an object, and the downward pitches of a side approach [rad]: horizontal, or inclined to
+clear the board under a low object.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """An approach of a hand: from ``side``, leaving along ``way``; unit vectors away from the object, shape (3,)."""
+    """The approach of a hand to an object.
+
+    The hand comes from ``side`` and leaves along ``way``; both are unit vectors that point away from the object, shape
+    (3,).
+    """
 
     side: Array
     way: Array
 
     @property
     def upright(self) -> Pose:
-        """Rotation of the world that turns this approach into one from above."""
+        """Rotation that maps this approach to an approach from above."""
         x, y, _ = self.side.tolist()
         lean = math.atan2(math.hypot(x, y), float(self.side[2]))
         turn = math.atan2(y, x)
@@ -72,7 +79,7 @@ ABOVE = Approach(UP, UP)
 def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
     """Return the possible approaches to an object in a state: from above, or else from each open side.
 
-    Empty if the object is enclosed.
+    The result is empty if the object is enclosed.
     """
     low, high = setting.bounds(name, state)
     own = {name, *setting.twin.riders(name)}
@@ -95,12 +102,13 @@ def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Appr
 
 
 _CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
-"""Center of a top face and four points around it, as shares of its half extents."""
+"""The center of a top face and four points around it, as fractions of its half extents."""
 
 
 def _outline(low: Array, high: Array, way: Array) -> list[Array]:
-    """Points of a slightly lifted box to sweep along a horizontal direction [m]: its center and its ends across and
-    upward.
+    """Return the points [m] of a slightly lifted box that are swept along a horizontal direction.
+
+    They form a grid across the box: its center and its extremes sideways and vertically.
     """
     middle, half = (low + high) / 2 + LIFT * UP, (high - low) / 2
     across = np.array([-way[1], way[0], 0.0])
@@ -110,7 +118,7 @@ def _outline(low: Array, high: Array, way: Array) -> list[Array]:
 
 
 def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[Array]:
-    """Center and edge points of a hand that grasps a box from a side [m]."""
+    """Return the center and edge points [m] of the back of a hand that grasps a box from a side."""
     palm = middle + side * max(float(np.abs(side) @ half), FINGERS)
     across = np.array([-way[1], way[0], 0.0])
     thick = np.cross(side, across)
@@ -118,7 +126,7 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 
 
 def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
-    """Other objects close enough to obstruct an approach."""
+    """Return the convex parts of other objects that are close enough to obstruct an approach."""
     twin = setting.twin
     found = []
     for item in twin.scene.objects:
@@ -139,14 +147,19 @@ def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -
 
 
 SLACK = 0.001
-"""Tolerance [m] on the finger opening, because openings are given in whole millimeters."""
+"""Tolerance [m] on the finger opening, because openings are specified in whole millimeters."""
 
 
 @dataclass(frozen=True, eq=False)
 class TaskContext:
-    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, or None.
+    """A twin and the hands that act in it.
 
-    A result must hold in all ``engines``; MuJoCo, used for the trials, is always one of them.
+    Attributes:
+        twin: The twin.
+        hands: Hands that can act in the scene.
+        path: Path of the scene document, or None.
+        kept: Cached results of :meth:`cannot_take` by object name.
+        engines: Engines in which a goal state must last. Trials always use MuJoCo.
     """
 
     twin: Twin
@@ -159,9 +172,17 @@ class TaskContext:
     def load(
         cls, path: Path, cache: Cache | None = None, payload: float | None = None, engines: Sequence[str] = ("mujoco",)
     ) -> TaskContext:
-        """Load the context of a scene document. Raises :class:`SpecError`, or :class:`TwinError` if it does not settle.
+        """Load the context of a scene document.
 
-        ``payload`` [kg] overrides the known payload of each robot.
+        Args:
+            path: Path of the scene document.
+            cache: Cache for lowered objects.
+            payload: Payload [kg] that overrides the known payload of each robot.
+            engines: Engines in which a goal state must last.
+
+        Raises:
+            SpecError: The document is invalid.
+            TwinError: The scene does not come to rest.
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
@@ -170,7 +191,11 @@ class TaskContext:
     # -- object poses and joints ------------------------------------------------------------------------------------
 
     def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
-        """Corners [m] of the bounding box of an object or link in the world, shape (3,) each."""
+        """Return the minimum and maximum corners of an object's or link's bounding box in the world [m].
+
+        The shape is (3,) each. A link is named ``object.link`` or ``object.joint``; ``state`` is by default the twin's
+        state.
+        """
         owner, _, part = name.partition(".")
         state = state or self.twin.state
         item = self.twin.scene.object(owner)
@@ -182,7 +207,7 @@ class TaskContext:
         return parts.bounds()
 
     def joints(self, argument: str) -> tuple[Joint, ...]:
-        """Joints named by ``object`` or ``object.joint`` that can be opened; empty if there are none."""
+        """Return the joints with limits that ``object``, ``object.joint`` or ``object.link`` refers to."""
         owner, _, part = argument.partition(".")
         return tuple(
             joint
@@ -193,7 +218,7 @@ class TaskContext:
     # -- feasible actions ---------------------------------------------------------------------------------------------
 
     def cannot_take(self, name: str) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can pick up an object at its present pose; empty if one can."""
+        """Return the reasons why no hand can pick up an object at its current pose; empty if a hand can."""
         if name not in self.kept:
             self.kept[name] = tuple(self._taken(name))
         return self.kept[name]
@@ -205,27 +230,26 @@ class TaskContext:
         found = []
         mass = sum(link.mass for link in item.links)
         if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
-            text = f"`{name}` weighs {mass:.2f} kg, but the robot lifts {most:g} kg"
+            text = f"`{name}` weighs {mass:.2f} kg, but the robot can lift only {most:g} kg"
             found.append(Reason("too_heavy", text, {"mass_kg": mass, "payload_kg": most}))
         drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
-        # Objects in a drawer are taken out after it is opened, so obstacles above them now do not count.
+        # Objects in a drawer are picked up after it is opened, so obstacles that are above them now do not matter.
         return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
 
     def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can hold an object in a state: from above or, if it is covered, from an open
-        side.
+        """Return the reasons why no hand can hold an object in a state; empty if a hand can.
 
-        ``ways`` are the approaches to consider, by default all that are free.
+        ``ways`` are the approaches to consider, by default all free approaches.
         """
         if not self.hands:
             return ()
         ways = approaches(self, name, state) if ways is None else ways
         if not ways:
-            return (Reason("covered", f"no hand can reach `{name}`: it is covered, and no side of it is open"),)
+            return (Reason("covered", f"no hand can reach `{name}`, because it is covered and enclosed on all sides"),)
         found: tuple[Reason, ...] = ()
         bounds = self.bounds(name, state)
         for way in ways:
-            # The grasp from above was measured at the pick-up pose.
+            # The grasp from above has already been tested at the pick-up pose.
             known = way is ABOVE and state is not self.twin.state
             lacks = (*(() if known else self._too_wide(name, state, way)), *self.cannot_reach(name, *bounds, way))
             if not lacks:
@@ -242,25 +266,31 @@ class TaskContext:
         if width <= widest + SLACK:
             return ()
         narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "cannot be grasped"
-        text = f"`{name}` {narrow}, but the fingers open {length(widest)}"
+        text = f"`{name}` {narrow}, but the fingers open only {length(widest)}"
         return (Reason("too_wide", text, {"width_m": min(width, 1e3), "opening_m": widest}),)
 
     def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
-        """Return the reasons why no hand can reach an object between two corners in the world [m].
+        """Return the reasons why no hand can reach an object; empty if a hand can.
 
         Inverse kinematics is used if available.
+
+        Args:
+            name: Name of the object.
+            low: Minimum corner of its bounding box in the world [m], shape (3,).
+            high: Maximum corner of its bounding box in the world [m], shape (3,).
+            approach: Approach of the hand.
         """
         if lacks := self.too_far(name, low, high):
             return lacks
         solved = self.twin.robots.reach(low, high, approach.side.tolist(), approach.way.tolist())
         if solved.checked and not solved.reached:
-            comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
-            text = f"no arm can get {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            comes = "from above" if approach is ABOVE else "from an open side"
+            text = f"no arm can reach `{name}` {comes}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
             return (Reason("out_of_reach", text, {"away_m": solved.away}),)
         return ()
 
     def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
-        """Return the reasons why a box between two corners in the world [m] is out of every hand's reach."""
+        """Return a reason if a bounding box with the given corners in the world [m] is out of reach of all hands."""
         middle = ((low + high) / 2)[:2].tolist()
         miss = nearest_miss(self.hands, [math.dist(middle, hand.at) for hand in self.hands]) if self.hands else None
         if miss is None:

@@ -1,5 +1,6 @@
-"""Enumeration of tasks: ideas are accepted or refused, and written as documents with instruction, goal, steps and
-starts.
+"""Enumerate tasks for a scene, accept or reject them, and write them as documents.
+
+Each document contains an instruction, a goal, steps and start regions.
 """
 
 from __future__ import annotations
@@ -33,13 +34,23 @@ NAME = 64
 """Maximum length of a name."""
 
 REGION, LEAST = 0.02, 0.005
-"""Maximum and minimum half extent of an object's start region [m]; if its neighbors leave less, there is no region."""
+"""Maximum and minimum half extent of an object's start region [m]; if there is less free space, there is no region."""
 
 
 def task(
     name: str, setting: TaskContext, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
 ) -> TaskSpec:
-    """Assemble a task document from valid parts."""
+    """Assemble a task document.
+
+    Args:
+        name: Name of the task.
+        setting: Context of the task.
+        scene: Path by which the document refers to its scene.
+        instruction: Instruction for a policy.
+        goal: The goal.
+        steps: Subtasks by name.
+        note: Origin of the task; truncated to 200 characters.
+    """
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
     return TaskSpec.model_validate(
@@ -58,7 +69,7 @@ def task(
 
 
 def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the steps of an idea: touch, pick up and place each object; open and close joints."""
+    """Return the subtasks of an idea: touch, pick up and place each object, and open and close joints."""
     found: dict[str, Subtask] = {}
     for step in idea.steps:
         if step.thing:
@@ -68,7 +79,7 @@ def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
-    """Return the steps to grasp an object: touch it, then hold it."""
+    """Return the subtasks for grasping an object: touch it, then pick it up. Empty if there are no hands."""
     hands = [hand.name for hand in setting.hands]
     if not hands:
         return {}
@@ -81,7 +92,10 @@ def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
 
 
 def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
-    """Return start regions for the task's free objects on the ground: around their poses, clear of all others."""
+    """Return start regions for those of the named objects that stand directly on the ground object.
+
+    Each region is a square around the object's position that keeps it clear of all other objects.
+    """
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
     hulls_of = {o.name: setting.bounds(o.name) for o in twin.scene.objects if o.name != twin.ground}
@@ -90,7 +104,7 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
             continue
         low, high = hulls_of[name]
         others = [box for n, box in hulls_of.items() if n != name and name not in twin.carried.get(n, ())]
-        # Two boxes are apart along the horizontal axis on which they are farther apart.
+        # The gap between two boxes is the larger of their gaps along the two horizontal axes.
         gaps = [float(np.maximum(low - other[1], other[0] - high)[:2].max()) for other in others]
         half = min([REGION, *(gap / 2 - 0.002 for gap in gaps)])
         if half >= LEAST:
@@ -102,7 +116,7 @@ def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegi
 
 
 def instruction_of(idea: Idea) -> str:
-    """Return the instruction for a policy: the steps in plain words."""
+    """Return the instruction for a policy, which lists the steps in plain words."""
     words = [step.words for step in idea.steps]
     if len(idea.steps) == 1 and idea.steps[0].thing:
         thing = idea.things[0].replace("_", " ")
@@ -116,7 +130,7 @@ def _sentence(words: str) -> str:
 
 
 def free_name(wanted: str, taken: set[str]) -> str:
-    """Return a valid name that is not taken: the wanted one, or with a number appended."""
+    """Convert the wanted name to a valid name, and append a number if it is already taken."""
     plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
     plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
     name, k = plain, 2
@@ -126,14 +140,18 @@ def free_name(wanted: str, taken: set[str]) -> str:
 
 
 Progress = Callable[[int, int], None]
-"""Callback that receives the number of accepted proposals and of those examined."""
+"""Callback that receives the numbers of accepted and examined proposals."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed task with the ``reasons`` against it, empty if accepted. ``task`` is None if no document can be made.
+    """A proposed task.
 
-    ``goal`` is the goal as text.
+    Attributes:
+        name: Name of the task.
+        goal: The goal as text.
+        task: The task document, or None if the proposal is too invalid to write one.
+        reasons: Reasons for rejection; empty if the task was accepted.
     """
 
     name: str
@@ -143,12 +161,15 @@ class Proposal:
 
     @property
     def accepted(self) -> bool:
-        """Return whether there is no reason against the task."""
+        """Return whether the task was accepted."""
         return not self.reasons
 
 
 class Proposals:
-    """Proposals for a scene, ``found`` in order; no two accepted ones end in the same state."""
+    """Collects the proposals for a scene; completing an accepted task never completes another accepted task.
+
+    ``found`` contains all proposals in order.
+    """
 
     def __init__(self, setting: TaskContext) -> None:
         self.setting = setting
@@ -156,7 +177,7 @@ class Proposals:
         self.accepted: list[AcceptedTask] = []
 
     def add(self, name: str, goal: str, made: TaskSpec) -> None:
-        """Propose a task; if it is accepted, withdraw those that it achieves along the way."""
+        """Propose a task; if it is accepted, reject earlier tasks that are always completed along with it."""
         new = accept(made, self.setting, self.accepted)
         if isinstance(new, tuple):
             self.found.append(Proposal(name, goal, made, new))
@@ -176,10 +197,15 @@ def enumerate_tasks(
     objects: tuple[str, ...] = (),
     progress: Progress = lambda accepted, seen: None,
 ) -> list[Proposal]:
-    """Propose tasks until ``count`` are accepted or none are left; refused ones state their reasons.
+    """Propose tasks until enough have been accepted or no ideas remain; rejected proposals include reasons.
 
-    ``scene`` is the scene's path relative to the documents, ``objects`` those that a task may be about. The same
-    context and seed give the same proposals.
+    Args:
+        setting: Context of the tasks.
+        count: Number of tasks to accept, or None to examine all ideas.
+        seed: Seed of the random generator; the same context and seed produce the same proposals.
+        scene: Path by which the documents refer to the scene.
+        objects: Names of the objects that tasks may involve; empty to allow all objects.
+        progress: Called after each proposal.
     """
     note = f"task cousin of `{setting.twin.scene.name}`, from the affordances of its objects"
     proposed = Proposals(setting)
@@ -197,11 +223,11 @@ def enumerate_tasks(
 
 
 def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
-    """Yield ideas, the most likely first, and among similar ones those with the least used objects first."""
+    """Yield ideas, simple ones first; among equally simple ideas, those with the least used objects come first."""
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)
     groups = dict.fromkeys(idea.about for idea in every)
-    # Ideas about the same objects share a draw, so they keep their order.
+    # Ideas about the same objects share a random number, which preserves their order.
     draw = dict(zip(groups, rng.random(len(groups)).tolist(), strict=True))
     used: Counter[str] = Counter()
     for odd in sorted({idea.odd for idea in every}):
@@ -214,17 +240,17 @@ def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> It
 
 
 def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
-    """Count earlier uses of the same combination of objects, and of each object in the same role."""
+    """Return how often the idea's combination of objects was used, and how often its objects were moved or used."""
     return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
 
 
 def scene_reference(scene: Path, out: Path) -> str:
-    """Return the path by which a document in ``out`` names a scene."""
+    """Return the path by which a document in ``out`` refers to a scene."""
     return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
 
 
 def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
-    """Run ``simfoundry check`` on the proposals in ``out``; findings become reasons for refusal."""
+    """Run ``simfoundry check`` on the accepted proposals as documents in ``out``; reject those with findings."""
     found = list(proposals)
     for k, proposal in enumerate(proposals):
         if proposal.accepted and proposal.task is not None:
@@ -237,12 +263,12 @@ def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
 
 
 def file_of(proposal: Proposal, out: Path) -> Path:
-    """Path of a proposal's document."""
+    """Return the path of a proposal's document."""
     return out / f"{proposal.name}.task.yaml"
 
 
 def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
-    """Write the accepted tasks; return their files in order."""
+    """Write the accepted tasks and return their paths in order."""
     files = []
     for proposal in proposals:
         if proposal.accepted and proposal.task is not None:
@@ -252,7 +278,7 @@ def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
 
 
 def to_json(proposal: Proposal, out: Path) -> dict[str, Any]:
-    """Return a plain mapping for scripts."""
+    """Return a plain mapping for JSON output."""
     task = proposal.task
     return {
         "name": proposal.name,

@@ -1,4 +1,4 @@
-"""Task ideas from a scene's affordances: cavities, level tops, movable joints, and graspable objects."""
+"""Derive task ideas from a scene's affordances: cavities, level surfaces, movable joints, and graspable objects."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from simfoundry.predicates import PredicateError
 from simfoundry.spec.models.predicate import Call, parts
 
 TOGETHER = 3
-"""Maximum number of objects placed together at one target."""
+"""Maximum number of objects to gather at one target."""
 
 ROOM = 0.9
-"""Maximum share of a cavity or top that several objects occupy together."""
+"""Maximum fraction of a target's area that several objects may occupy together."""
 
 
 HOLLOW = (0.025, 0.04)
@@ -31,7 +31,10 @@ BROAD = 0.1
 
 @dataclass(frozen=True)
 class IdeaStep:
-    """One step: its ``goal``, its instruction, and the object that is moved, empty if a joint is moved."""
+    """A step of a task.
+
+    ``words`` is its instruction, and ``thing`` is the object to move; ``thing`` is empty if the step moves a joint.
+    """
 
     name: str
     goal: Any
@@ -41,9 +44,13 @@ class IdeaStep:
 
 @dataclass(frozen=True)
 class Idea:
-    """A task that may be feasible: its ``steps`` in order, the conditions of its ``goal``, and its rank ``odd``.
+    """A task that may be feasible.
 
-    Ideas with a lower ``odd`` are proposed earlier: 0 for one step, 1 for several.
+    Attributes:
+        name: Name of the task.
+        goal: Conditions that must all hold.
+        steps: Steps in order.
+        odd: Rank, 0 for tasks with one step and 1 for tasks with several; lower ranks are proposed first.
     """
 
     name: str
@@ -53,22 +60,25 @@ class Idea:
 
     @property
     def things(self) -> tuple[str, ...]:
-        """Names of the objects that are moved."""
+        """Names of the objects that the steps move."""
         return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
 
     @property
     def about(self) -> tuple[str, ...]:
-        """Names of everything in its goal."""
+        """Names of the objects and robots in the goal."""
         return objects_of({"all": self.goal})
 
 
 @dataclass(frozen=True)
 class Affordances:
-    """Objects by affordance: graspable objects, containers with a cavity, supports with a level top, and joints that
-    open.
+    """Objects by affordance.
 
-    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are supports with a
-    cavity below their top, such as cabinets, for which on top does not mean inside.
+    Attributes:
+        things: Names of graspable objects.
+        containers: Objects or parts with a cavity, as ``object`` or ``object.part``.
+        supports: Objects or parts with a level surface, as ``object`` or ``object.part``.
+        joints: Joints that can be opened, as ``object.joint``.
+        topped: Supports with a cavity below their top, such as cabinets, for which `OnTop` does not imply `Inside`.
     """
 
     things: tuple[str, ...]
@@ -88,7 +98,7 @@ class Affordances:
         grounds = {setting.twin.ground}
         hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
         boards = {n: _boards(setting, n) for n in names if n not in grounds}
-        # Drawers and named shelf boards are listed instead of the cabinet or shelf they belong to.
+        # Drawers and named shelf boards are listed instead of the cabinet or shelf that they belong to.
         own = [t for t in hollow if not ("." not in t and (boards[t] or any(p in hollow for p in parts[t])))]
         level = [t for n in names if n not in grounds for t in boards[n] or [n] * _level(setting, n, hollow)]
         return cls(
@@ -101,7 +111,7 @@ class Affordances:
 
 
 def _hollow(setting: TaskContext, name: str) -> bool:
-    """Return whether an object has a usable cavity: deep, wide, and free at its center."""
+    """Return whether an object has a usable cavity, that is, one that is deep, wide, and free at its center."""
     try:
         found = cavities(setting, name)
     except PredicateError:
@@ -119,7 +129,7 @@ def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
 
 
 def _boards(setting: TaskContext, name: str) -> list[str]:
-    """Static links of an object that each have a wide level, if there are several."""
+    """Return the static links of an object that have a wide level surface; empty unless there are at least two."""
     own = setting.twin[name]
     if len(own.still_links) < 2:
         return []
@@ -133,14 +143,14 @@ def _boards(setting: TaskContext, name: str) -> list[str]:
 
 
 def _has_top(setting: TaskContext, name: str) -> bool:
-    """Return whether the highest level of an object is a top rather than a floor, that is, in its upper half."""
+    """Return whether an object's highest level surface is a top rather than a floor, that is, in its upper half."""
     levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
 
 
 def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield all candidate tasks once each, not verified yet."""
+    """Yield all candidate tasks without verifying them."""
     for thing in there.things:
         for target in there.containers:
             if target.partition(".")[0] != thing and _fits(setting, (thing,), target):
@@ -158,7 +168,7 @@ def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Affordances) -> Idea:
-    """Idea to put an object into or onto another; a closed drawer is opened before and closed afterwards."""
+    """Return the idea to put an object into or onto a target; a closed drawer is opened first and closed afterward."""
     step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
     if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
@@ -168,7 +178,7 @@ def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Aff
 
 
 def _lid(setting: TaskContext, joint: str, target: str) -> bool:
-    """Return whether a joint moves the named part, or a part of the named object."""
+    """Return whether a joint moves the target part, or a part of the target object."""
     owner, _, part = target.partition(".")
     if joint.partition(".")[0] != owner:
         return False
@@ -176,7 +186,10 @@ def _lid(setting: TaskContext, joint: str, target: str) -> bool:
 
 
 def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield stacks: a container on a support with the largest fitting object in it, as a cup in a bowl on a plate."""
+    """Yield ideas for stacks, such as a cup in a bowl on a plate.
+
+    A stack consists of a support, a container on it, and the largest object that fits into the container.
+    """
     for below, middle in product(there.supports, there.containers):
         if middle == below or middle not in there.things or not _fits(setting, (middle,), below):
             continue
@@ -190,9 +203,7 @@ def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
 
 
 def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
-    """Yield ideas to gather all objects of a category, or of a word in their names, in one container or on one
-    support.
-    """
+    """Yield ideas to gather all objects whose names end with the same word in a container or on a support."""
     for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
@@ -214,7 +225,7 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
-    """Return whether objects are no wider than their target; a quick test, not a proof."""
+    """Return whether objects are small enough for a target, based on bounding boxes only."""
     low, high = setting.bounds(target)
     room = np.sort((high - low)[:2])
     if len(things) == 1:
@@ -233,7 +244,7 @@ def _step(thing: str, word: str, target: str) -> IdeaStep:
 
 
 def _on_top(thing: str, target: str) -> IdeaStep:
-    """Step to put an object on top of a target that has a cavity below its top, and not into it."""
+    """Return the step to put an object on top of a target with a cavity below its top, and not into the cavity."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
     return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
@@ -248,11 +259,11 @@ WORDS = {
     "NextTo": "next to", "LeftOf": "left of", "RightOf": "right of", "InFrontOf": "in front of", "Behind": "behind",
     "Touching": "against", "Above": "above", "Under": "under", "OnTop": "on", "Inside": "in",
 }  # fmt: skip
-"""Phrases for the predicates in instructions."""
+"""Phrases for predicates in instructions."""
 
 
 def step_of(call: Call) -> IdeaStep:
-    """Step that makes a predicate true."""
+    """Return the step that makes a predicate true."""
     thing = call.args[0]
     if call.predicate in ("Inside", "OnTop"):
         return _step(thing, call.predicate, call.args[1])
@@ -274,7 +285,7 @@ def _short(name: str) -> str:
 
 
 def _said(name: str) -> str:
-    """Format a name in plain words: ``cabinet.drawer`` is the drawer of the cabinet."""
+    """Convert a name to plain words: ``cabinet.drawer`` becomes `drawer of the cabinet`."""
     owner, _, part = name.partition(".")
     words = owner.replace("_", " ")
     return f"{part.replace('_', ' ')} of the {words}" if part else words

@@ -1,4 +1,4 @@
-"""Task cousins proposed by a vision-language model with the paper's prompt; each is verified like any other."""
+"""Task cousins proposed by a vision-language model with the paper's prompt; they are verified like any other task."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.scene import SceneSpec
 
 Form = Literal["typed", "paper"]
-"""Format of the model's answer: typed, or the text format that the paper's prompt requests."""
+"""Format of the model's response: typed, or the text format that the paper's prompt requests."""
 
 
 def propose_tasks(
@@ -54,10 +54,20 @@ def propose_tasks(
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """Ask a model for tasks in a scene shown in a ``picture`` (PNG or JPEG), each with any reasons for refusal.
+    """Ask a model to propose tasks in a scene, and verify them.
 
-    Each task should involve one of the objects ``include``, and must not involve those in ``exclude``. Raises
-    ``VlmError`` if the model gives no answer.
+    Args:
+        vlm: The vision-language model.
+        setting: Context of the tasks.
+        picture: Image of the scene as PNG or JPEG.
+        count: Number of tasks to request.
+        form: Format of the response.
+        scene: Path by which task documents refer to the scene.
+        include: Objects, at least one of which each task should involve; empty for no such requirement.
+        exclude: Objects that tasks must not involve.
+
+    Raises:
+        VlmError: The model does not respond.
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
@@ -68,11 +78,11 @@ def propose_tasks(
 def prompt(
     setting: TaskContext, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
 ) -> str:
-    """Render the paper's prompt for a scene; the typed form omits the description of the answer's text format."""
+    """Render the paper's prompt for a scene; the typed form omits the description of the text format."""
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
-        raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
+        raise SimfoundryError(f"prompts require jinja2; install it with `{install_line('vlm')}`") from None
     text = files(__package__).joinpath("templates", f"{form}.txt.j2").read_text(encoding="utf-8")
     template = Environment(undefined=StrictUndefined, autoescape=False).from_string(text)
     objects = [o for o in setting.twin.scene.objects if o.name not in exclude and o.name not in setting.twin.absent]
@@ -122,7 +132,18 @@ def judged(
     scene: str = "",
     exclude: Sequence[str] = (),
 ) -> list[Proposal]:
-    """Verify proposed tasks; return documents for the accepted ones and reasons for the others."""
+    """Verify tasks proposed by a model.
+
+    Args:
+        told: The tasks in the model's response.
+        setting: Context of the tasks.
+        source: Origin of the tasks, for the documents.
+        scene: Path by which task documents refer to the scene.
+        exclude: Objects that tasks must not involve.
+
+    Returns:
+        One proposal per task; accepted proposals contain a document, and rejected ones contain reasons.
+    """
     proposed = Proposals(setting)
     for one in told:
         if isinstance(one, Unread):
@@ -133,7 +154,11 @@ def judged(
 
 
 def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
-    """Propose a task from a model's answer; return a refused proposal if no document can be made of it."""
+    """Add a task from a model's response to the proposals.
+
+    Returns:
+        A rejected proposal if the task is too invalid to write a document; otherwise None.
+    """
     setting = proposed.setting
     name = free_name(told.task_name, {accepted.name for accepted in proposed.accepted})
     goal, wrong = goal_of(told)
@@ -157,7 +182,7 @@ def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: 
 
 
 def _released(goal: Any) -> Any:
-    """Return the goal with Released added for placed objects; unchanged if it has a single predicate."""
+    """Return the goal with `Released` added for each placed object."""
     placed = dict.fromkeys(c.args[0] for c in conjuncts(goal) if c.predicate in ON and c.predicate != "Touching")
     there = {str(call) for call in conjuncts(goal)}
     more = tuple(text for name in placed if "." not in name and (text := f"Released({name})") not in there)
@@ -167,14 +192,14 @@ def _released(goal: Any) -> Any:
 
 MOST_TASKS = 200
 MOST_TEXT = 100_000
-"""Maximum length of an answer that is parsed [characters]."""
+"""Maximum number of characters of a response to parse; the rest is ignored."""
 
 _MARK = re.compile(r"^\s*-{3,}[^\n]*$|^\s*```[^\n]*$", re.MULTILINE)
-"""Separator between tasks, `--- Task 2`, and the code fences that models tend to put around YAML."""
+"""Separators between tasks, such as `--- Task 2`, and the code fences that models tend to put around YAML."""
 
 
 class AskedTask(BaseModel):
-    """A predicate of a goal: the state of one group, or a relation between two."""
+    """A predicate in a goal: the state of one group, or a relation between two groups."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -193,7 +218,7 @@ class Told(BaseModel):
     task_name: str = Field(min_length=1, max_length=100, description="Short snake_case name.")
     instruction: str = Field("", max_length=400, description="The robot's instruction in plain words.")
     goal_predicates_all: list[AskedTask] = Field([], max_length=16, description="All must be true for success.")
-    goal_predicates_any: list[AskedTask] | None = Field(None, max_length=16, description="Any suffices; else null.")
+    goal_predicates_any: list[AskedTask] | None = Field(None, max_length=16, description="One must be true, or null.")
     semantic_group_mapping: dict[str, list[str]] = Field(
         {}, max_length=32, description="Required only if group names differ from object names."
     )
@@ -206,18 +231,18 @@ class ProposalsAnswer(BaseModel):
 
 
 class Unread(BaseModel):
-    """An unreadable part of an answer, with the reason."""
+    """A part of a response that could not be parsed, with the reason."""
 
     name: str
     why: str
 
 
 def read(text: str) -> list[Told | Unread]:
-    """Parse the tasks of an answer in the paper's format: YAML blocks, each after a line `--- Task n`."""
+    """Parse the tasks in a response in the paper's format: YAML blocks separated by lines such as `--- Task n`."""
     found: list[Told | Unread] = []
     blocks = [block for block in _MARK.split(text[:MOST_TEXT]) if block.strip()]
     for block in blocks[:MOST_TASKS]:
-        label = f"part {len(found) + 1} of the answer"
+        label = f"part {len(found) + 1} of the response"
         try:
             data = parse(block, label).data
         except YamlError as error:
@@ -225,7 +250,7 @@ def read(text: str) -> list[Told | Unread]:
             continue
         if not isinstance(data, dict):
             if "task_name" in block:
-                found.append(Unread(name=label, why="it is not a mapping with the key `task_name`"))
+                found.append(Unread(name=label, why="it must be a mapping with the key `task_name`"))
             continue  # text between tasks
         try:
             found.append(Told.model_validate(data))
@@ -238,11 +263,15 @@ def read(text: str) -> list[Told | Unread]:
 
 
 def goal_of(told: Told) -> tuple[Any, str]:
-    """Convert a proposed goal to a condition; also return the error in its groups, or an empty string."""
+    """Convert a proposed goal to a condition.
+
+    Returns:
+        The condition, and an error message if the goal is invalid, or an empty string.
+    """
     names, wrong = {}, ""
     for group, members in told.semantic_group_mapping.items():
         if len(members) != 1:
-            wrong = wrong or f"the group `{group[:40]}` has {len(members)} members, but must have one"
+            wrong = wrong or f"group `{group[:40]}` must have exactly one member, not {len(members)}"
         else:
             names[group] = members[0]
     terms = [_term(asked, names) for asked in told.goal_predicates_all]
@@ -261,9 +290,13 @@ def _term(asked: AskedTask, names: dict[str, str]) -> Any:
 
 @dataclass(frozen=True)
 class TaskCousin:
-    """A task verified in the twin; ``goal`` is the goal as text, and ``hands`` act in it.
+    """A task that was verified in the twin.
 
-    The result holds in all ``engines``.
+    Attributes:
+        spec: The task document.
+        goal: The goal as text.
+        hands: Hands that can act in the task.
+        engines: Engines in which the goal state must last.
     """
 
     spec: TaskSpec
@@ -272,10 +305,16 @@ class TaskCousin:
     engines: tuple[str, ...] = ("mujoco",)
 
     def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
-        """Return the reasons why the task is unusable in a settled scene: already achieved, or objects out of reach.
+        """Return the reasons why the task cannot be used in a settled scene; empty if it can be used.
 
-        Empty if it is usable. Compatibility of the objects was verified in the twin and does not depend on the layout;
-        it is verified again if any of them is among the ``others``, which replace the twin's objects.
+        The task cannot be used if its goal already holds or if an object is out of reach. The feasibility of the goal
+        was verified in the twin and does not depend on the layout, so it is verified again only if an object in the
+        goal was replaced.
+
+        Args:
+            twin: The twin.
+            state: Settled state of the scene.
+            others: Names of the objects that were replaced.
         """
         setting = TaskContext(twin.at(state), self.hands, engines=self.engines)
         found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
@@ -291,15 +330,24 @@ def task_cousins(
     vlm: Vlm | None = None,
     picture: bytes = b"",
 ) -> tuple[tuple[TaskCousin, ...], tuple[Proposal, ...]]:
-    """Return the tasks of a recipe's axis in a twin, and all proposals examined.
+    """Return the feasible tasks for a recipe's task axis, and all proposals that were examined.
 
-    ``scene`` is the twin's document and ``reference`` its path as the tasks' documents name it. A ``vlm``, shown the
-    ``picture``, is queried if the axis requests it. Raises :class:`ImpossibleError` if no task is feasible.
+    Args:
+        twin: The twin.
+        scene: Document of the twin's scene.
+        axis: The task axis.
+        seed: Seed of the random generator.
+        reference: Path by which task documents refer to the scene.
+        vlm: Model to query if the axis requests proposals from a model.
+        picture: Image of the scene for the model.
+
+    Raises:
+        ImpossibleError: No task is feasible, or the axis requires a model but none is given.
     """
     setting = TaskContext(twin, hands_of(scene.robots), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
-            why = "`proposals: model` needs a model: name one, or use `affordances`"
+            why = "`proposals: model` requires a model; specify one, or use `affordances`"
             raise ImpossibleError((Reason("no_model", why),))
         every = sorted({o.name for o in twin.scene.objects} - set(axis.objects)) if axis.objects else []
         found: Sequence[Proposal] = propose_tasks(
@@ -312,6 +360,6 @@ def task_cousins(
     )
     if not good:
         said = "; ".join(f"{p.name}: {p.reasons[0].text}" for p in found[:3] if p.reasons)
-        text = f"none of {len(found)} proposed tasks is possible" + (f": {said}" if said else "")
+        text = f"none of the {len(found)} proposed tasks is possible" + (f": {said}" if said else "")
         raise ImpossibleError((Reason("no_task", text),))
     return good, tuple(found)

@@ -1,4 +1,4 @@
-"""Trials: move an object or a joint, simulate until rest, and test whether the requested predicates hold."""
+"""Trials: move an object or a joint, simulate until everything is at rest, and test the requested predicates."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ from simfoundry.spec.models.scene import Place
 from simfoundry.worlds import open_world
 
 OVERLAP = 0.002
-"""Maximum penetration at rest [m]; an object wedged between the walls of another does not count as placed."""
+"""Maximum penetration at rest [m]; objects wedged between the walls of another object exceed it."""
 
 DISTURBED = 0.02
-"""Maximum displacement [m] of other objects while an object comes to rest."""
+"""Maximum displacement [m] of all other objects while an object comes to rest."""
 
 
 LASTS = 2.0
-"""Duration of the simulation in other engines [s] that tests whether a result lasts."""
+"""Duration of the simulations in other engines [s] that test whether a state lasts."""
 
 ASTRAY = (0.0023, 0.0017)
-"""Placement perturbation [m]: no hand is exact, and a ball does not stay on another."""
+"""Offset [m] added to each placement, because hands are inexact; it prevents, for example, balancing balls on each
+other.
+"""
 
 
 class Rest(NamedTuple):
-    """The state at rest; ``why`` is empty if everything rests undisturbed, else the reason."""
+    """The state at rest. ``why`` explains the problem if the state is not acceptable, and is empty otherwise."""
 
     state: SceneState
     why: str = ""
@@ -42,10 +44,19 @@ class Rest(NamedTuple):
 def dropped(
     setting: TaskContext, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
 ) -> Pose:
-    """Pose at which an object, rotated by ``q`` (wxyz) with its center over ``xy`` [m], first touches its support from
-    above.
+    """Return the pose at which an object lowered from above first touches its target.
 
-    Raises :class:`~simfoundry.scene.place.PlaceError` if it misses the target or does not fit.
+    Args:
+        setting: Context of the task.
+        name: Name of the object.
+        target: Object or part to place it on or in.
+        inside: True to place it inside the target.
+        xy: Position of the object's center [m].
+        q: Orientation of the object (wxyz).
+        state: State of the scene.
+
+    Raises:
+        PlaceError: The object misses the target or does not fit.
     """
     twin = setting.twin
     shape = twin.shape(name, Pose.of(q=q))
@@ -64,25 +75,33 @@ def dropped(
 
 
 def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
-    """Pose at which an object, rotated by ``q`` (wxyz) with its center over ``xy`` [m], stands on a level of an object.
+    """Return the pose at which an object stands on a level surface of another object.
 
-    Raises :class:`~simfoundry.scene.place.PlaceError` if it would stick out over the level or collide with the object.
+    Args:
+        setting: Context of the task.
+        name: Name of the object.
+        level: The level surface.
+        xy: Position of the object's center [m].
+        q: Orientation of the object (wxyz).
+
+    Raises:
+        PlaceError: The object would overhang the surface or collide with the object that the surface belongs to.
     """
     twin = setting.twin
     turned = twin.shape(name, Pose.of(q=q))
     outline = Outline.of(turned)
     middle = complex(*xy)
     if not level.holds(np.array([[middle.real, middle.imag]]), np.array([1.0 + 0.0j]), outline.spread)[0]:
-        raise PlaceError(f"`{name}` would stick out over the level of `{level.name}` at {level.height:.3f} m")
+        raise PlaceError(f"`{name}` would overhang the level of `{level.name}` at {level.height:.3f} m")
     at = middle - outline.middle
     X_WO = Pose.of((at.real, at.imag, level.height - outline.low + CLEARANCE), q)
     if overlap(turned.moved(X_WO.p), twin.shape(level.name, twin.state.poses[level.name])):
-        raise PlaceError(f"`{name}` does not fit over the level of `{level.name}` at {level.height:.3f} m")
+        raise PlaceError(f"`{name}` does not fit on the level of `{level.name}` at {level.height:.3f} m")
     return X_WO
 
 
 def put(setting: TaskContext, name: str, X_WO: Pose, state: SceneState) -> SceneState:
-    """Return a state with an object and its riders moved."""
+    """Return a state in which an object and its riders have been moved."""
     moved = X_WO @ state.poses[name].inverse()
     along = {n: moved @ state.poses[n] for n in setting.twin.riders(name)}
     return SceneState.of({**state.poses, **along, name: X_WO}, state.joints, state.motions)
@@ -91,8 +110,15 @@ def put(setting: TaskContext, name: str, X_WO: Pose, state: SceneState) -> Scene
 def turned(
     setting: TaskContext, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
 ) -> SceneState:
-    """Return a state with a joint at another position [rad or m]; objects ``held`` by its link (``owner.link``) move
-    along.
+    """Return a state in which a joint has been moved, along with the objects that its links support.
+
+    Args:
+        setting: Context of the task.
+        owner: Name of the object that the joint belongs to.
+        joint: The joint.
+        to: New joint position [rad or m].
+        held: Links that support placed objects, as ``owner.link`` by object name.
+        state: Original state.
     """
     item = setting.twin.scene.object(owner)
     joints = {**state.joints, f"{owner}.{joint.name}": to}
@@ -108,7 +134,7 @@ def turned(
 
 
 def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
-    """Simulate until rest. Objects in ``moving`` may move as they settle; all others must stay."""
+    """Simulate until everything is at rest. Only objects in ``moving`` may move as they settle."""
     settled = settle_layout(setting.twin.world, state, setting.twin.absent)
     if settled.restless:
         return Rest(settled.state, f"`{settled.restless[0]}` does not come to rest")
@@ -122,11 +148,13 @@ def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
-    """Return the reason why a condition that holds in MuJoCo at rest does not last in another engine, or an empty
-    string.
+    """Return an explanation if a condition that holds in MuJoCo does not last in another engine, or an empty string.
 
-    Each test uses a new world, because PyBullet keeps contacts across a reset and earlier trials must not influence it.
-    Raises MissingEngineError for an engine that is not installed.
+    Each test uses a new world, because PyBullet keeps contacts across a reset, so earlier trials could affect the
+    result.
+
+    Raises:
+        MissingEngineError: An engine is not installed.
     """
     for engine in setting.engines:
         if engine == "mujoco":
@@ -136,13 +164,14 @@ def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
             world.step(round(LASTS / world.timestep))
             verdict = setting.twin.judge(condition, world.state())
         if not verdict.value:
-            return f"after {LASTS:g} s in {engine} {verdict.why}"
+            return f"after {LASTS:g} s in {engine}, {verdict.why}"
     return ""
 
 
 def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
-    """Joint position at which a joint is ``Open`` or ``Closed`` [rad or m]: one of its limits; None if it is so at
-    neither.
+    """Return the joint limit [rad or m] at which a joint is ``Open`` or ``Closed``, or None if there is no such limit.
+
+    ``wanted`` is ``Open`` or ``Closed``, and ``owner`` is the name of the object that the joint belongs to.
     """
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):

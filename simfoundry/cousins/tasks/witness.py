@@ -1,8 +1,8 @@
-"""Witness search for a goal: find a state at rest in which it is true by placing objects as it requires.
+"""Search for a witness of a goal, that is, a state at rest in which the goal is true.
 
-Feasibility is demonstrated by simulation: objects are rotated and dropped onto the collision geometry in a few dozen
-ways, simulated until rest, and the goal is evaluated. Robot motion is not planned; graspability of each object and
-reachability of its target are tested separately.
+Feasibility is demonstrated by simulation. Objects are dropped onto the collision geometry in a few dozen positions and
+orientations and simulated until they come to rest, and then the goal is evaluated. Robot motion is not planned; whether
+each object can be grasped and its target can be reached is tested separately.
 """
 
 from __future__ import annotations
@@ -36,21 +36,23 @@ HELD = ("Grasped", "Lifted")
 """Predicates made true only by a hand holding the object."""
 
 ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
-"""Predicates of which a goal may consist; Released may be combined with them."""
+"""Predicates allowed in a goal; `Released` may be combined with them."""
 
 NEAR = 0.03
-"""Margin [m] by which an object may miss a predicate at its first contact, because it may satisfy it as it settles."""
+"""Margin [m] by which a predicate may be violated at first contact, because the object may still satisfy it after
+settling.
+"""
 
 SETTLES = 6
-"""Number of simulations per object before it counts as impossible to place."""
+"""Number of simulations per object after which placing it is considered impossible."""
 
 FEW = 3
-"""Number of orientations tried at positions after the first two."""
+"""Number of orientations to try at each position after the first two."""
 
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """A state at rest in which a goal is true, and the joints that had to be opened on the way."""
+    """A state at rest in which a goal is true, and the joints that had to be opened to reach it."""
 
     state: SceneState
     opened: tuple[str, ...] = ()
@@ -58,7 +60,14 @@ class Witness:
 
 @dataclass
 class _Attempt:
-    """An attempt: its present state, objects held by links, opened joints, and forbidden conditions by object."""
+    """An attempt to make a goal true.
+
+    Attributes:
+        state: Current state.
+        held: Links that support placed objects, as ``owner.link`` by object name.
+        opened: Names of opened joints.
+        barred: Conditions that must hold because the goal negates them, each with the object that it concerns.
+    """
 
     state: SceneState
     held: dict[str, str] = field(default_factory=dict)
@@ -66,12 +75,12 @@ class _Attempt:
     barred: list[tuple[str, Any]] = field(default_factory=list)
 
     def asked(self, name: str, calls: list[Call]) -> Any:
-        """Condition on a placed object: that ``calls`` hold, and none of its forbidden conditions."""
+        """Return the condition that a placed object must satisfy: all ``calls``, and its negated conditions."""
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
 def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
-    """Find a witness of a goal, or the reasons why there is none. Names and predicates must be valid."""
+    """Find a witness of a goal, or return the reasons why the search failed. Names and predicates must be valid."""
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
         try:
@@ -104,14 +113,15 @@ def _made(setting: TaskContext, goal: Any, way: list[Call]) -> Witness | tuple[R
     if not any(call.predicate in HELD for call in way):
         verdict = setting.twin.judge(goal, attempt.state)
         if not verdict.value:
-            return (Reason("impossible", f"it cannot all be true at once: {verdict.why}", {"m": verdict.margin}),)
+            text = f"its conditions cannot all hold at once: {verdict.why}"
+            return (Reason("impossible", text, {"m": verdict.margin}),)
         if gone := lost(setting, goal, attempt.state):
             return (Reason("fleeting", f"it does not last: {gone}"),)
     return Witness(attempt.state, tuple(attempt.opened))
 
 
 def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the conditions that must not hold, each with the first object that it refers to."""
+    """Yield the negated conditions in a goal, each with the first object that it refers to."""
     tag, below = parts(goal)
     if tag == "all":
         for item in below:
@@ -121,7 +131,7 @@ def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
-    """Order the objects to be placed, containers and supports first, each with its predicates."""
+    """Yield the objects to place, containers and supports first, each with its predicates."""
     groups: dict[str, list[Call]] = {}
     for call in calls:
         groups.setdefault(call.args[0].partition(".")[0], []).append(call)
@@ -140,7 +150,7 @@ def _owner(call: Call) -> str:
 
 
 def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
-    """Open or close the joint of a predicate."""
+    """Open or close the joints that a predicate refers to; return the reasons if this fails."""
     owner = call.args[0].partition(".")[0]
     joints = setting.joints(call.args[0])
     for joint in joints:
@@ -154,7 +164,7 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
         attempt.state = turned(setting, owner, joint, end, attempt.held, attempt.state)
     settled = rest(setting, attempt.state, {owner, *attempt.held})
     if settled.why:
-        return (Reason("impossible", f"{call} cannot be reached: {settled.why}"),)
+        return (Reason("impossible", f"{call} cannot be achieved: {settled.why}"),)
     attempt.state = settled.state
     verdict = setting.twin.judge(str(call), attempt.state)
     if not verdict.value:
@@ -167,12 +177,16 @@ def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, .
 
 
 def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Place an object so that all ``calls`` about it hold; if a closed joint is in the way, open it."""
+    """Place an object so that all ``calls`` hold, and open closed joints if necessary.
+
+    Returns:
+        The reasons if the object cannot be placed, or an empty tuple.
+    """
     if lacks := setting.cannot_take(name):
         return lacks
     below = next((_owner(call) for call in calls if _owner(call) in setting.twin.riders(name)), "")
     if below:
-        return (Reason("impossible", f"`{name}` cannot go there: `{below}` stands on it"),)
+        return (Reason("impossible", f"`{name}` cannot be placed there, because `{below}` stands on it"),)
     shut = [joint for call in calls if call.predicate in ON for joint in _shut(setting, attempt, call.args[1])]
     within = any("." in call.args[1] for call in calls if call.predicate in ON)
     lacks = _tried(setting, attempt, name, calls) if not (shut and within) else ()
@@ -192,16 +206,20 @@ def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) 
 
 
 def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
-    """Closed joints of the named part or object, which cannot receive an object while shut."""
+    """Return the closed joints of the target part or object, as pairs of object and joint names."""
     owner = target.partition(".")[0]
     judge, state = setting.twin.judge, attempt.state
     return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
 
 
 def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
-    """Place an object in one pose after the other until its predicates hold at rest.
+    """Try poses for an object until its predicates hold at rest.
 
-    Poses that satisfy them at first contact are simulated; if none succeeds, those that nearly do are simulated too.
+    Poses in which the predicates hold at first contact are simulated first. If none of them succeeds, poses in which
+    the predicates nearly hold are simulated too.
+
+    Returns:
+        The reasons if no pose succeeds, or an empty tuple.
     """
     tried = _Tried()
     nearly: list[tuple[float, SceneState]] = []
@@ -222,8 +240,9 @@ def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]
 
 
 def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[SceneState]:
-    """Yield states by increasing violation, skipping those with equal position and violation, which differ by rotation
-    only.
+    """Yield the states in which predicates nearly hold, by increasing violation.
+
+    States with equal position and violation differ only in the object's rotation, so all but the first are skipped.
     """
     seen = set()
     for margin, state in sorted(nearly, key=lambda row: -row[0]):
@@ -235,9 +254,15 @@ def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[Scene
 
 @dataclass
 class _Tried:
-    """Numbers of placements and simulations of an object, its best margin, and the reason it was insufficient.
+    """Statistics on the attempts to place an object.
 
-    ``far`` is the reason why no hand reaches the successful positions, ``unreached`` those positions to 1 cm [m].
+    Attributes:
+        puts: Number of poses tried.
+        settles: Number of simulations.
+        best: Best margin of the predicates.
+        why: Explanation of the best or the most recent failure.
+        far: Reasons why no hand can reach a pose at which the predicates hold.
+        unreached: Positions that no hand can reach, rounded to 1 cm [m].
     """
 
     puts: int = 0
@@ -251,7 +276,7 @@ class _Tried:
 def _touchdowns(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
-    """Yield states in which the object touches its support, each with the verdict on its predicates there."""
+    """Yield states in which the object first touches its support, each with the verdict on its predicates."""
     asked = attempt.asked(name, calls)
     for pose in _landings(setting, attempt, name, calls):
         if tried.settles >= SETTLES:
@@ -271,7 +296,11 @@ def _touchdowns(
 def _settled(
     setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
 ) -> tuple[Reason, ...] | None:
-    """Settle an object. Return None if its predicates do not hold afterwards, and ``()`` on success."""
+    """Settle an object and store the resulting state in the attempt if its predicates hold.
+
+    Returns:
+        An empty tuple on success, or None on failure.
+    """
     spot = tuple(np.round(state.poses[name].p, 2).tolist())
     if spot in tried.unreached:
         return None
@@ -284,7 +313,7 @@ def _settled(
     settled = rest(setting, state, {name, *setting.twin.riders(name)})
     verdict = setting.twin.judge(asked, settled.state)
     if not verdict.value or settled.why:
-        tried.why = settled.why or f"at rest {verdict.why}"
+        tried.why = settled.why or f"at rest, {verdict.why}"
         return None
     if gone := lost(setting, asked, settled.state):
         tried.why = gone
@@ -300,7 +329,7 @@ def _settled(
 
 
 def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
-    """Yield candidate poses: the first contact from above, then standing on each level of the target."""
+    """Yield functions that compute candidate poses: first contact from above, then standing on each level."""
     target, within = _carrier(setting, name, calls)
     every = turns(setting, name)
     for k, xy in enumerate(places(setting, calls[0], attempt.state)):
@@ -312,7 +341,7 @@ def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Ca
 
 
 def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:
-    """Support of an object, and whether the object must be inside it."""
+    """Return the support on which to place an object, and whether the object must be inside it."""
     first = calls[0]
     if first.predicate in ON:
         return first.args[1], first.predicate == "Inside"

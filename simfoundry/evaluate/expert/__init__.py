@@ -1,3 +1,1 @@
-"""A scripted expert policy: it plans grasps and paths on the true state, and acts through the interface of any
-policy.
-"""
+"""A scripted expert policy that plans grasps and paths from the true state and acts like any other policy."""

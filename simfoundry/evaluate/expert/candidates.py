@@ -1,6 +1,6 @@
-"""Grasps of an object by parallel jaws, and release poses from which it comes to rest on or in another.
+"""Candidate grasps of an object by parallel jaws, and candidate poses for releasing it on or in another object.
 
-Both are found on collision geometry.
+Both are computed from collision geometry.
 """
 
 from __future__ import annotations
@@ -24,41 +24,44 @@ from simfoundry.scene.object_shapes import hulls, solid
 from simfoundry.scene.state import SceneState, object_at
 
 YAWS = 12
-"""Number of closing directions about the approach direction over half a turn; each is used twice, with the hand
-flipped.
-"""
+"""Number of closing directions about the approach direction over half a turn; the flipped hand doubles this number."""
 
 ACROSS, ALONG = 17, 12
-"""Maximum number of lines across the hand and along its approach."""
+"""Maximum number of rays across the hand and along its approach direction."""
 
 SPACING, FINE = 0.006, 0.0025
-"""Minimum spacing of lines across the hand and along its approach [m]."""
+"""Minimum spacing of rays across the hand and along its approach direction [m]."""
 
 MOST = 300
-"""Number of best grasps that are kept."""
+"""Number of best grasps to keep."""
 
 FACING = 0.92
-"""Minimum cosine between a finger's direction and the surface normal that it meets, within the friction cone."""
+"""Minimum cosine of the angle between a finger's closing direction and the surface normal, to stay within the friction
+cone.
+"""
 
 CLEARANCE = 0.004
 """Clearance beside each finger during the approach [m]."""
 
 PRELOAD = 0.012
-"""Additional opening of the fingers on each side of the object [m], if the gripper is wide enough."""
+"""Additional finger opening on each side of the object [m], if the gripper is wide enough."""
 
 TIP = 0.005
-"""Minimum distance of the object from the tips of the pads [m]."""
+"""Minimum distance between the object and the tips of the pads [m]."""
 
 ALIKE = 0.004
-"""Maximum difference between the spans of neighboring lines for them to form one surface for the pads [m]."""
+"""Maximum difference between the spans of neighboring rays for which they count as a single contact surface [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A hand about to close: its closed pose ``X_WH``, its finger opening ``open`` during the approach, and the
-    ``width`` held.
+    """A grasp by a parallel gripper; better grasps have a lower ``cost``.
 
-    Better grasps have a smaller ``cost``.
+    Attributes:
+        X_WH: The pose of the hand when it closes.
+        width: The width of the object between the fingers [m].
+        open: The fraction by which the gripper is closed during the approach.
+        cost: The cost of the grasp.
     """
 
     X_WH: Pose
@@ -68,16 +71,19 @@ class Grasp:
 
 
 def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
-    """Approach directions, shape (3,): straight down, and tilted by the given angles [rad] toward eight sides."""
+    """Return approach directions, shape (3,), that point straight down or are tilted by the given angles [rad].
+
+    Each tilt angle gives eight directions, one toward each of eight sides.
+    """
     angles = [(tilt, side * math.pi / 4) for tilt in tilts for side in range(8 if tilt else 1)]
     return [np.array([math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), -math.cos(t)]) for t, a in angles]
 
 
 def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
-    """Yield rotations of the hand with its z along ``approach``, and closing directions y all around.
+    """Yield hand rotations whose z axis is ``approach``, with the closing direction y distributed over half a turn.
 
-    They start from the direction in which the shape is longest as seen along the approach, so that long objects are
-    grasped across.
+    The closing directions are measured from the longest extent of the shape as seen along the approach direction. One
+    of them is therefore exactly perpendicular to it, so that long objects can be grasped across their width.
     """
     side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     side = np.cross(approach, side)
@@ -93,7 +99,14 @@ def rotations(shape: HalfSpaces, approach: Array) -> Iterator[Array]:
 
 
 def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
-    """Return all grasps of a shape with its center of mass at ``center`` [m], best first, including flipped hands."""
+    """Return the best grasps of a shape, in order of increasing cost, including those with the hand flipped.
+
+    Args:
+        shape: The shape to grasp.
+        center: The center of mass [m], shape (3,).
+        jaws: The geometry of the fingers.
+        approaches: The approach directions to consider.
+    """
     found: list[Grasp] = []
     for approach in approaches:
         for R_WH in rotations(shape, approach):
@@ -104,7 +117,7 @@ def grasps(shape: HalfSpaces, center: Array, jaws: Jaws, approaches: list[Array]
 
 
 def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
-    """Yield grasps with the hand rotated by R_WH."""
+    """Yield the grasps for the hand rotation R_WH."""
     low, high = bounds(shape, R_WH)
     across = _grid(low[0], high[0], ACROSS, SPACING)
     along = _grid(low[2], high[2], ALONG, FINE)
@@ -134,13 +147,13 @@ def _along(shape: HalfSpaces, center: Array, jaws: Jaws, R_WH: Array) -> Iterato
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
-    """Evenly spaced coordinates slightly inside ``low`` and ``high``, at least ``spacing`` apart."""
+    """Return evenly spaced coordinates slightly inside ``low`` and ``high``, at least ``spacing`` apart."""
     count = int(np.clip((high - low) / spacing, 1, most))
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
 def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
-    """Spans and sequences of spans that the fingers can close on from both ends."""
+    """Return the spans, and the sequences of consecutive spans, that the fingers can hold from both ends."""
     widest = jaws.opening - 2 * CLEARANCE
     found = []
     for i, first in enumerate(spans):
@@ -152,7 +165,7 @@ def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
 
 
 def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
-    """Share of the neighboring lines that meet the same surfaces, a measure of the pads' contact area."""
+    """Return the fraction of neighboring rays that hit the same surfaces, a measure of the pads' contact area."""
     around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1) if di or dj]
     alike = 0
     for k, m in around:
@@ -163,7 +176,7 @@ def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
 
 
 TURNS = 8
-"""Number of rotations about the vertical that are tried."""
+"""Number of rotations about the vertical axis to try."""
 
 GRID, GRID_SPACING = 7, 0.012
 """Maximum number of positions along each side of the target, and their minimum spacing [m]."""
@@ -174,28 +187,28 @@ SUNK = 0.008
 UP = np.array([0.0, 0.0, 1.0])
 
 ENOUGH, LOOKED_AT = 48, 400
-"""Number of places of a kind that suffice, and maximum number of candidate poses on end that are tried."""
+"""Number of placements of each kind that suffices, and maximum number of upended poses to try."""
 
 FAR = 10.0
-"""Cost of a place per meter from the center."""
+"""Cost per meter of distance from the center [1/m]."""
 
 LONG = 1.8
-"""Minimum ratio of the two largest extents of a long object, which may also stand on end."""
+"""Minimum ratio of the two largest extents for an object to count as long; a long object may also be placed on end."""
 
 LEANS = (0.0, 0.3, 0.6)
-"""Tilt angles of a long object that is put into a cavity [rad]."""
+"""Tilt angles to try when a long object is placed in a cavity [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceAt:
-    """A pose in which an object touches its support; better places have a smaller ``cost``."""
+    """A pose in which an object touches its support; better placements have a lower ``cost``."""
 
     X_WO: Pose
     cost: float
 
 
 class _Target:
-    """A support: an object, or one of its links, among the other movable ones."""
+    """A support, which is an object or one of its links, and the other movable objects around it."""
 
     def __init__(self, scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> None:
         owner, _, link = target.partition(".")
@@ -210,7 +223,7 @@ class _Target:
         self._others = [hulls(object_at(o, state)) for o in others]
 
     def spots(self) -> list[tuple[Array, float]]:
-        """Positions in the plane [m] over it, from its center outward, and their distances from the center."""
+        """Return horizontal positions [m] above the support and their distances from its center [m], closest first."""
         middle = self._part.middle(self._R_WC)
         if self._inside:
             middle = hollow(self._part, middle, self._R_WC)
@@ -221,7 +234,11 @@ class _Target:
         return sorted(spots, key=lambda s: s[1])
 
     def place(self, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
-        """Lower an object at a position; None if it first meets another object, or is not inside as required."""
+        """Lower an object onto the support at a given position.
+
+        Returns:
+            The placement, or None if the object hits another object first or does not end up inside as required.
+        """
         at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
         held = shape.moved(at)
         touching = heights(held, self._whole)
@@ -237,14 +254,21 @@ class _Target:
         return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
 
     def _walled(self, foot: Array) -> bool:
-        """Return whether a point at an object's foot has walls on most sides, there or slightly higher."""
+        """Return True if a point at an object's base, or slightly above it, has walls on most sides."""
         return any(met(self._walls, foot + height * UP, LEVEL_RAYS).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
-    """Poses of ``name`` on or inside ``target`` (an object or a link of one), best first.
+    """Return poses of an object on or inside a target, best first.
 
-    First in its present orientation at the center of the free area; a long object also on end.
+    The current orientation at the center of the free area is preferred; long objects may also be placed on end.
+
+    Args:
+        scene: The scene.
+        state: The current state.
+        name: The object to place.
+        target: The name of an object or a link.
+        inside: Whether to place the object in a cavity of the target.
     """
     item, support = scene.object(name), _Target(scene, state, name, target, inside)
     spots = support.spots()
@@ -259,15 +283,16 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 def _tried(
     item: SceneObject, turns: list[tuple[Pose, float]], spots: list[tuple[Array, float]]
 ) -> list[tuple[Pose, Hulls, Array, float]]:
-    """Combine every rotation and position, with the resulting shape and cost, in order of cost."""
+    """Combine every rotation with every position; return them with the rotated shape and the cost, cheapest first."""
     turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
     every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
     return sorted(every, key=lambda each: each[3])
 
 
 def _central(found: list[PlaceAt]) -> list[PlaceAt]:
-    """Places closest to the center of all found; for an object half under a lid, this is the center of the open
-    half.
+    """Return the placements closest to the center of all placements found.
+
+    For example, for a support that is half covered by a lid, this is the center of the open half.
     """
     if not found:
         return []
@@ -278,18 +303,18 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
 
 
 def _odd(count: float) -> int:
-    """Round to an odd number of positions up to :data:`GRID`, so that the center is one of them."""
+    """Round to an odd number of positions of at most :data:`GRID`, so that the center is one of them."""
     return 2 * (int(np.clip(count, 3, GRID)) // 2) + 1
 
 
 def _turned(pose: Pose) -> list[Pose]:
-    """Rotations of a pose about the vertical."""
+    """Return rotations of a pose about the vertical axis."""
     now = Pose.of(q=pose.q)
     return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
 
 
 def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
-    """Yield rotations of a long object on its ends, tilted by up to :data:`LEANS`, with their costs."""
+    """Yield rotations that place a long object on end, tilted by up to :data:`LEANS`, with their costs."""
     axis = _long_axis(item)
     if axis is None:
         return
@@ -298,7 +323,7 @@ def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]
     heading = math.atan2(level[1], level[0])
     for lean in LEANS:
         for sign in (1, -1):
-            # Rotate about the horizontal axis across it, until it points down or up.
+            # Rotate about the horizontal axis perpendicular to the object until it points down or up.
             upend = Pose.of(q=_about(heading + math.pi / 2, sign * (math.pi / 2 - lean))) @ now
             for turn in _turned(upend):
                 yield turn, 0.3 + 0.1 * lean
@@ -310,7 +335,7 @@ def _about(heading: float, angle: float) -> Array:
 
 
 def _long_axis(item: SceneObject) -> int | None:
-    """Axis of the object's frame along which it is long, if any."""
+    """Return the index of the axis along which the object is long, or None."""
     shape = hulls(replace(item, X_WO=Pose.of()))
     size = shape.size()
     axis = int(size.argmax())

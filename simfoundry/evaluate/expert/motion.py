@@ -1,4 +1,4 @@
-"""Motion planning for one arm: straight lines of the hand, and collision-free paths around obstacles."""
+"""Motion planning for a single arm: straight-line motions of the hand, and collision-free paths around obstacles."""
 
 from __future__ import annotations
 
@@ -18,40 +18,44 @@ from simfoundry.scene.state import SceneState
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
 Path = list[Array]
-"""Sequence of postures, each shape (n,) [rad or m]."""
+"""A sequence of arm configurations, each with shape (n,) [rad or m]."""
 
 LINE = 0.015
-"""Position step between the postures of a straight line [m]."""
+"""Position step between the configurations of a straight line [m]."""
 
 TURN = 0.1
-"""Rotation step between the postures of a straight line [rad]."""
+"""Rotation step between the configurations of a straight line [rad]."""
 
 LEAP = 0.35
-"""Maximum joint step between two postures of a line [rad]; a larger one means that the IK branch has changed."""
+"""Maximum joint step between two configurations of a line [rad]; a larger step means that the IK solution jumped to
+another branch.
+"""
 
 FINE = 0.08
-"""Joint step at which a path is checked for collisions [rad]."""
+"""Joint step at which paths are checked for collisions [rad]."""
 
 GAP = 0.004
-"""Minimum clearance of free motion [m]."""
+"""Minimum clearance for motions in free space [m]."""
 
 WIDE = 0.02
-"""Preferred clearance of free motion [m]: joints lag differently behind their targets and cut corners."""
+"""Preferred clearance for motions in free space [m]; joints lag behind their targets by different amounts and cut
+corners.
+"""
 
 NODES, STRIDE = 1500, 0.3
-"""Maximum number of postures in a search, and its step size [rad]."""
+"""Maximum number of configurations in a search, and the step size of the search [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """An object in a hand, and its pose ``X_HO`` there."""
+    """An object held by a hand, with its pose ``X_HO`` in the hand frame."""
 
     name: str
     X_HO: Pose
 
 
 class ArmPlanner:
-    """Planner for one arm in its planning scene."""
+    """A planner for one arm in its planning scene."""
 
     def __init__(self, cell: PlanningScene, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:
         self.cell, self.arm, self.jaws, self.rng = cell, arm, fingers, rng
@@ -60,7 +64,15 @@ class ArmPlanner:
     def clear(
         self, q: Array, share: float, held: Held | None = None, gap: float = GAP, ignore: Iterable[str] = ()
     ) -> bool:
-        """Return whether a posture is free of collisions."""
+        """Return True if a configuration is free of collisions.
+
+        Args:
+            q: The configuration of the arm.
+            share: The fraction by which the gripper is closed.
+            held: The object in the hand, if any.
+            gap: The required clearance [m].
+            ignore: Names of objects with which collisions are allowed.
+        """
         self.cell.pose(self.name, q, share)
         moving = [self.name]
         if held is not None:
@@ -77,7 +89,16 @@ class ArmPlanner:
         gap: float = 0.0,
         ignore: Iterable[str] = (),
     ) -> Path | None:
-        """Postures that move the hand from ``q`` straight to ``X_WH``; None if the arm cannot follow the line."""
+        """Return configurations that move the hand in a straight line, or None if the arm cannot follow the line.
+
+        Args:
+            q: The initial configuration.
+            X_WH: The final pose of the hand.
+            share: The fraction by which the gripper is closed.
+            held: The object in the hand, if any.
+            gap: The required clearance [m].
+            ignore: Names of objects with which collisions are allowed.
+        """
         start = self.arm.hand(q)
         count = max(1, int(np.ceil(max(float(np.linalg.norm(X_WH.p - start.p)) / LINE, start.angle_to(X_WH) / TURN))))
         path = [q]
@@ -91,8 +112,9 @@ class ArmPlanner:
         return path
 
     def way(self, q: Array, goal: Array, share: float, held: Held | None = None) -> Path | None:
-        """Postures from ``q`` to ``goal`` around obstacles, with the preferred clearance if possible; None if there is
-        no path.
+        """Return a path from ``q`` to ``goal`` around obstacles, or None if no path was found.
+
+        The preferred clearance is used if possible.
         """
         for gap in (WIDE, GAP):
 
@@ -110,7 +132,7 @@ class ArmPlanner:
 
 
 def blend(a: Pose, b: Pose, share: float) -> Pose:
-    """Interpolate between two poses."""
+    """Interpolate between two poses; ``share`` is 0 at ``a`` and 1 at ``b``."""
     qb = b.q if float(a.q @ b.q) >= 0 else -b.q
     angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
     if angle < 1e-6:
@@ -120,23 +142,23 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
 
 
 Free = Callable[[Array], bool]
-"""Returns whether a posture is free of collisions."""
+"""Function that returns True if a configuration is free of collisions."""
 
 
 def _straight(a: Array, b: Array, free: Free) -> bool:
-    """Return whether every posture between two is free; the first is assumed to be."""
+    """Return True if all configurations between two given ones are free; the first is assumed to be free."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))
 
 
 class _Tree:
-    """A tree of postures that are connected by free lines."""
+    """A tree of configurations that are connected by collision-free straight lines."""
 
     def __init__(self, root: Array) -> None:
         self.postures, self._parents = [root], [-1]
 
     def extend(self, toward: Array, free: Free) -> int | None:
-        """Grow by one step; return the index of the new posture."""
+        """Grow the tree by one step and return the index of the new configuration, or None if it did not grow."""
         distance = np.abs(np.array(self.postures) - toward).max(axis=1)
         nearest = int(distance.argmin())
         if distance[nearest] < 1e-9:
@@ -150,7 +172,7 @@ class _Tree:
         return len(self.postures) - 1
 
     def path(self, k: int) -> Path:
-        """Postures from the k-th one to the root."""
+        """Return the configurations from the k-th one to the root."""
         found = []
         while k >= 0:
             found.append(self.postures[k])
@@ -159,12 +181,12 @@ class _Tree:
 
 
 def _search(start: Array, goal: Array, free: Free, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
-    """Search with rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
+    """Search for a path with rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
     trees = (_Tree(start), _Tree(goal))
     for k in range(NODES):
         side = k % 2
         tree, other = trees[side], trees[1 - side]
-        # Sample between the two ends more often than elsewhere: most paths lead through there.
+        # Sample between the two ends more often than elsewhere, because most paths pass through that region.
         mix = rng.uniform(size=len(start))
         near = start + mix * (goal - start) + rng.normal(scale=0.5, size=len(start))
         sample = np.clip(near, low, high) if rng.uniform() < 0.8 else rng.uniform(low, high)
@@ -179,7 +201,7 @@ def _search(start: Array, goal: Array, free: Free, low: Array, high: Array, rng:
 
 
 def _shortened(path: Path, free: Free, rng: np.random.Generator) -> Path:
-    """Return a path without unnecessary detours."""
+    """Remove unnecessary detours from a path."""
     for _ in range(40):
         if len(path) < 3:
             break
@@ -190,11 +212,11 @@ def _shortened(path: Path, free: Free, rng: np.random.Generator) -> Path:
 
 
 FAR = 0.03
-"""Distance up to which collisions are tested [m]."""
+"""Distance up to which collisions are detected [m]."""
 
 
 class PlanningScene:
-    """The scene in MuJoCo without time steps. Queries change its state; :meth:`sync` restores a given one."""
+    """The scene in MuJoCo without time steps; queries change its state, and :meth:`sync` restores a given state."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -216,17 +238,17 @@ class PlanningScene:
         self._world.reset()
         self._collide()
         pairs = (sorted(int(g) for g in c.geom) for c in self._data.contact[: self._data.ncon])
-        # Geoms of one robot that are close at the start, such as neighboring links.
+        # Geoms of one robot that are close to each other initially, such as those of neighboring links.
         self._own = {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
 
     def sync(self, state: SceneState, postures: Mapping[str, Array], grippers: Mapping[str, float]) -> None:
-        """Set the scene to a state, with the arm and gripper positions of each robot."""
+        """Set the scene to a state, with the arm configuration and gripper position of each robot."""
         self._world.reset(SceneState.of(state.poses, state.joints, state.motions))
         for name, q in postures.items():
             self.pose(name, q, grippers[name])
 
     def pose(self, robot: str, q: Array, share: float) -> None:
-        """Set a robot's arm to a posture, with its gripper closed by ``share``."""
+        """Set a robot's arm to a configuration and close its gripper by the fraction ``share``."""
         native = mujoco_model(self.scene.robot(robot))
         assert native is not None
         names = list(native.joints.values()) or list(self._world.robot(robot).joints)
@@ -248,9 +270,16 @@ class PlanningScene:
         mujoco.mj_collision(self._model, self._data)
 
     def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
-        """Return whether a hand without its arm, and its object, would be closer to anything than ``gap`` [m].
+        """Return True if a hand without its arm, or the object it holds, is closer than ``gap`` [m] to anything else.
 
-        This is much cheaper than planning the arm's motion. The fingers keep their last position.
+        This is much cheaper than planning the motion of the arm. The fingers keep their previous position.
+
+        Args:
+            robot: The robot to which the hand belongs.
+            X_WH: The pose of the hand.
+            held: The name of the object in the hand, if any.
+            gap: The required clearance [m].
+            ignore: The name of an object with which collisions are allowed.
         """
         import mujoco
 
@@ -280,7 +309,7 @@ class PlanningScene:
         return False
 
     def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
-        """Bodies and geoms of a hand, the one with the hand's frame first, and that frame relative to it."""
+        """Return the bodies and geoms of a hand, and the pose of the hand frame relative to the first body."""
         native = mujoco_model(self.scene.robot(robot))
         assert native is not None
         model, frame = self._model, native.frame("hand")
@@ -292,9 +321,9 @@ class PlanningScene:
         return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
 
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
-        """Return the first body that the ``moving`` robots and objects are closer to than ``gap`` [m], or None.
+        """Return the first body that is closer than ``gap`` [m] to one of the ``moving`` robots and objects, or None.
 
-        Contacts among them and with ``ignore`` do not count.
+        Contacts among the moving bodies, or with ``ignore``, are not counted.
         """
         self._collide()
         mine = set(moving)

@@ -1,4 +1,4 @@
-"""Scripted expert policy: maps the predicates of a task to skills of the hands."""
+"""The scripted expert policy, which maps the predicates of a task to manipulation skills."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simfoundry.spec.models.predicate import Call, Condition, parse_call, parts
 
 
 class Skill(StrEnum):
-    """The skills of the hands."""
+    """The manipulation skills of the expert."""
 
     PICK = "pick"
     PUT_ON = "put on"
@@ -38,8 +38,8 @@ SKILLS = {
     "Open": Skill.OPEN,
     "Closed": Skill.CLOSE,
 }
-"""Skill that makes each predicate true. Predicates not listed become true along with others (Touching, Released,
-Upright) or depend on where objects happen to stand.
+"""The skill that makes each predicate true. Predicates that are not listed become true as a side effect of others
+(Touching, Released, Upright) or depend on where objects happen to be.
 """
 
 PUTS = (Skill.PUT_ON, Skill.PUT_IN)
@@ -47,7 +47,10 @@ PUTS = (Skill.PUT_ON, Skill.PUT_IN)
 
 @dataclass(frozen=True)
 class ExpertStep:
-    """One action: ``skill`` with the arguments of the predicate ``until`` that it makes true."""
+    """A single step of the expert.
+
+    ``args`` are the arguments of the predicate ``until``, which the ``skill`` makes true.
+    """
 
     skill: Skill
     args: tuple[str, ...]
@@ -55,7 +58,7 @@ class ExpertStep:
 
 
 def steps(goal: Condition, subtasks: Mapping[str, SubtaskGoal]) -> tuple[ExpertStep, ...]:
-    """Return the steps in order: those of each sub-task, then those for the remaining goal."""
+    """Return the steps in order: those for each sub-task, followed by those for the rest of the goal."""
     asked = [step for subtask in subtasks.values() for step in _of(subtask.goal)]
     asked += [step for step in _of(goal) if step not in asked]
     return tuple(step for k, step in enumerate(asked) if not _leads_to(step, asked[k + 1 :]))
@@ -68,7 +71,7 @@ def goal_steps(goal: Condition) -> tuple[ExpertStep, ...]:
 
 
 def _leads_to(step: ExpertStep, later: list[ExpertStep]) -> bool:
-    """Return whether a later step picks up the object itself."""
+    """Return True if a later step picks up the object anyway."""
     return step.skill is Skill.PICK and any(s.skill in PUTS and s.args[0] == step.args[0] for s in later)
 
 
@@ -87,19 +90,19 @@ def _of(condition: Condition) -> Iterator[ExpertStep]:
 
 
 CHUNK = 3
-"""Number of actions per answer: a fifth of a second at 15 Hz, so that a lost grasp is noticed soon."""
+"""Number of actions per response; at 15 Hz this is a fifth of a second, so a lost grasp is noticed quickly."""
 
 ATTEMPTS = 4
-"""Number of attempts per step."""
+"""Maximum number of attempts per step."""
 
 PAUSE = 1.0
-"""Waiting time after a failure before the next observation [s]."""
+"""Time to wait after a failure before the next observation [s]."""
 
 
 class ExpertPolicy(Policy):
-    """A scripted policy. It needs MuJoCo and mink for planning.
+    """A scripted policy that plans with MuJoCo and mink.
 
-    It uses the true state and no camera.
+    It uses the true state and no cameras.
     """
 
     name = "expert"
@@ -120,7 +123,7 @@ class ExpertPolicy(Policy):
         self.log = []
 
     def infer(self, observation: Observation) -> Array:
-        """Return the next actions, shape (3, numbers of an action)."""
+        """Return the next actions, shape (3, action size)."""
         self._worker.look(observation)
         if self._script is None:
             self._script = self._work()
@@ -131,7 +134,7 @@ class ExpertPolicy(Policy):
         return np.array(rows)
 
     def _work(self) -> Script:
-        """Run every step of the task, then those for unmet parts of the goal, then hold still."""
+        """Execute every step of the task, then the steps for unmet parts of the goal, then hold still."""
         for step in steps(self._task.goal, self._task.subtasks):
             yield from self._achieve(step)
         for _ in range(ATTEMPTS):
@@ -164,13 +167,13 @@ class ExpertPolicy(Policy):
                 inside = step.skill is Skill.PUT_IN
                 found = self._good(step, places(worker.scene, worker.now.state, thing, target, inside))
                 if not found:
-                    raise FailedError(f"there is no place for {thing} at {target}")
+                    raise FailedError(f"could not find a place for {thing} {'in' if inside else 'on'} {target}")
                 if robot not in worker.held:
                     yield from pick(worker, robot, thing, found)
                 yield from put(worker, robot, found)
 
     def _good(self, step: ExpertStep, found: list[PlaceAt]) -> list[PlaceAt]:
-        """Places at which the step would be done."""
+        """Return the placements at which the step would be completed."""
         state, thing = self._worker.now.state, step.args[0]
         apart = replace(state, robots=MappingProxyType({}), speeds=MappingProxyType({}))
         states = [replace(apart, poses={**state.poses, thing: place.X_WO}) for place in found]
@@ -180,7 +183,7 @@ class ExpertPolicy(Policy):
         return [place for place, good in zip(found, holds, strict=True) if good]
 
     def _recover(self) -> Script:
-        """Release, return the arm to its initial posture, and wait until objects rest."""
+        """Release any object, return the arm to its home configuration, and wait until all objects are at rest."""
         worker = self._worker
         for robot, planner in worker.planners.items():
             worker.held.pop(robot, None)

@@ -1,9 +1,9 @@
-"""Skills of one hand: pick and place objects, and open and close joints by leading a handle along their motion."""
+"""Manipulation skills of one hand: picking and placing objects, and opening and closing joints by their handles."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,40 +21,40 @@ from simfoundry.scene.state import SceneState, object_at
 from simfoundry.worlds.rest import center_of_mass
 
 STANDOFF = 0.09
-"""Distance before a grasp at which the hand stops to observe [m]."""
+"""Distance from a grasp at which the hand stops to observe [m]."""
 
 LIFT = 0.12
-"""Lift height before an object is moved away [m]."""
+"""Height by which an object is lifted before it is moved away [m]."""
 
 ABOVE = 0.12
-"""Height of the approach above a place [m], so that an object clears the rim of a cup."""
+"""Height above a placement at which the descent starts [m], so that an object clears the rim of a cup."""
 
 DROP = 0.006
-"""Height above a place at which an object is released [m]."""
+"""Height above its placement at which an object is released [m]."""
 
 SQUEEZE = 0.04
-"""Additional closing command beyond contact, as a share of the finger travel; a servo pulls harder for it."""
+"""Additional closing command beyond contact, as a fraction of the finger travel; it makes the servo grip harder."""
 
 RELEASE = 0.012
-"""Opening of each finger on release [m]."""
+"""Distance by which each finger opens to release an object [m]."""
 
 NARROW = 0.001
-"""Minimum clearance of a hand close to the object that it grasps or releases [m]."""
+"""Minimum clearance of a hand near the object that it grasps or releases [m]."""
 
 SPARE = 0.012
-"""Clearance of the hand at a place chosen before grasping [m], because the object may slip a little."""
+"""Clearance of the hand at a placement chosen before grasping [m]; the object may slip slightly in the hand."""
 
 TRIES, CHECKED = 60, 6
-"""Maximum number of collision-free grasps, and of places for each, tried with the arm."""
+"""Maximum number of collision-free grasps to try with the arm, and of placements to try for each grasp."""
 
 HANDLE_TRIES = 80
-"""Maximum number of collision-free grasps of a handle tried with the arm."""
+"""Maximum number of collision-free grasps of a handle to try with the arm."""
 
 WIDE = (0.94, 0.75, 0.5)
-"""Shares of the range to which a joint is opened; the first reachable one is used."""
+"""Fractions of its range to which a joint is opened; the first reachable one is used."""
 
 BEYOND = 0.003
-"""Distance past its closed end to which a handle is led [m or rad], so that the joint reaches the end."""
+"""Distance past its closed end to which a joint is moved [m or rad], so that it closes completely."""
 
 STEP = 0.02
 """Step between hand poses along the joint's motion [m or rad]."""
@@ -63,13 +63,18 @@ OUTER = 0.02
 """Maximum distance of handle geometry from the link's outermost point in the opening direction [m]."""
 
 SLANTS = (0.0, 0.4, 0.8, 1.2)
-"""Downward pitch angles of a hand that approaches a handle from its front [rad]."""
+"""Downward pitch angles of a hand that approaches a handle from the front [rad]."""
 
 
 class GraspPlan(NamedTuple):
-    """An executable grasp: paths to a stop before it, down to it, along with what is held, and back after its release.
+    """An executable grasp.
 
-    An object is picked up ``along``, a handle is led along its joint's motion.
+    Attributes:
+        grasp: The grasp.
+        to: The path to a waypoint before the grasp.
+        down: The path from that waypoint to the grasp.
+        along: The path with the grasped object: it is lifted, or a handle is moved along its joint's motion.
+        back: The path after the object has been released.
     """
 
     grasp: Grasp
@@ -80,7 +85,15 @@ class GraspPlan(NamedTuple):
 
 
 class PutPlan(NamedTuple):
-    """A reachable place: paths above it, down to it, and back with the hand ``open``."""
+    """An executable placement.
+
+    Attributes:
+        place: The placement.
+        to: The path to a waypoint above the placement.
+        down: The path from that waypoint to the placement.
+        back: The path away from the placement after the object has been released.
+        open: The fraction by which the gripper is closed on the way back.
+    """
 
     place: PlaceAt
     to: Path
@@ -90,11 +103,11 @@ class PutPlan(NamedTuple):
 
 
 def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
-    """Pick up an object so that it can be moved to one of ``places`` afterwards."""
+    """Pick up an object with a grasp that allows it to be placed at one of ``places``, if any are given."""
     worker.sync()
     plan = _plan_pick(worker, robot, name, places)
     if plan is None:
-        raise FailedError(f"{robot} finds no grasp of {name}")
+        raise FailedError(f"{robot} could not find a grasp for {name}")
     yield from _seize(worker, robot, plan)
     X_HO = worker.now.robots[robot].X_WH.inverse() @ worker.now.state.poses[name]
     worker.held[robot] = Held(name, X_HO)
@@ -102,12 +115,12 @@ def pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | No
 
 
 def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
-    """Place the held object at the first of ``places`` that can be reached."""
+    """Place the held object at the first reachable pose in ``places``."""
     held = worker.held[robot]
     worker.sync()
     plan = _plan_put(worker, robot, places)
     if plan is None:
-        raise FailedError(f"{robot} finds no place for {held.name}")
+        raise FailedError(f"{robot} could not find a place for {held.name}")
     yield from worker.go(robot, plan.to)
     yield from worker.creep(robot, _corrected(worker, robot, plan))
     del worker.held[robot]
@@ -117,7 +130,7 @@ def put(worker: ExpertWorker, robot: str, places: list[PlaceAt]) -> Script:
 
 
 def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script:
-    """Open or close a joint by its handle."""
+    """Open or close a joint by moving its handle."""
     owner, _, name = target.partition(".")
     item, state = worker.scene.object(owner), worker.now.state
     joint = _joint_of(item, name)
@@ -127,7 +140,7 @@ def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script
     handle = _Handle(item, state, joint)
     plan = next((p for goal in goals if (p := _plan_lead(worker, robot, handle, goal)) is not None), None)
     if plan is None:
-        raise FailedError(f"{robot} finds no way to lead {target} by a handle")
+        raise FailedError(f"{robot} could not find a way to move {target} by a handle")
     yield from _seize(worker, robot, plan)
     yield from worker.creep(robot, plan.along)
     yield from worker.grip(robot, plan.grasp.open)
@@ -136,7 +149,7 @@ def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script
 
 
 def _seize(worker: ExpertWorker, robot: str, plan: GraspPlan) -> Script:
-    """Move to a grasp and close; closing with full force would squash light objects."""
+    """Move to a grasp and close the gripper, but not with full force, which would squash light objects."""
     worker.share[robot] = plan.grasp.open
     yield from worker.go(robot, plan.to)
     yield from worker.creep(robot, plan.down)
@@ -144,7 +157,7 @@ def _seize(worker: ExpertWorker, robot: str, plan: GraspPlan) -> Script:
 
 
 def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt] | None) -> GraspPlan | None:
-    """Plan the first grasp that the arm can reach, lift and bring to a place; None if there is none."""
+    """Plan a grasp with which the arm can reach the object, lift it and place it, or return None if there is none."""
     planner = worker.planners[robot]
     state = worker.now.state
     item = worker.scene.object(name)
@@ -175,7 +188,7 @@ def _plan_pick(worker: ExpertWorker, robot: str, name: str, places: list[PlaceAt
 
 
 def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
-    """Return whether the hand alone has space to approach and to close."""
+    """Return True if the hand alone has enough space to approach and to close."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, grasp.open)
     if cell.hand_clash(robot, grasp.X_WH, gap=NARROW):
@@ -185,7 +198,7 @@ def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
 
 
 def _fitting(planner: ArmPlanner, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
-    """Places at which the hand alone, holding the object, has space."""
+    """Return the placements at which the hand has enough space while it holds the object."""
     cell, robot = planner.cell, planner.name
     cell.pose(robot, planner.arm.home, planner.jaws.at_width(grasp.width)[0])
     found = []
@@ -200,7 +213,7 @@ def _fitting(planner: ArmPlanner, grasp: Grasp, held: Held, places: list[PlaceAt
 
 
 def _path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
-    """Plan the path to a grasp from a stop before it that the arm reaches from near ``q``."""
+    """Plan the path to a grasp from a waypoint before it that the arm can reach from near ``q``."""
     start = planner.arm.solve_any(_before(grasp.X_WH), q, planner.rng)
     if start is None or not planner.clear(start, grasp.open):
         return None
@@ -208,7 +221,7 @@ def _path_to(planner: ArmPlanner, q: Array, grasp: Grasp) -> Path | None:
 
 
 def _paths_up(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> tuple[Path, Path] | None:
-    """Plan the path to a grasp from a stop before it, and the path up again with the object."""
+    """Plan the path to a grasp from a waypoint before it, and the path back up with the object."""
     way = _path_to(planner, q, grasp)
     closed = planner.jaws.at_width(grasp.width)[0]
     if way is None or not planner.clear(way[-1], closed, gap=NARROW, ignore=[name]):
@@ -218,7 +231,7 @@ def _paths_up(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> tuple[P
 
 
 def _can_put(planner: ArmPlanner, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
-    """Return whether the hand can reach the release pose and the pose above it."""
+    """Return True if the hand can reach the release pose and the pose above it."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
     posture = planner.arm.solve_any(X_WH, q, planner.rng)
     if posture is None or not planner.clear(posture, planner.jaws.at_width(grasp.width)[0], held, gap=NARROW):
@@ -232,22 +245,44 @@ def _over(pose: Pose, height: float) -> Pose:
 
 
 def _before(X_WH: Pose) -> Pose:
-    """Return a hand's pose moved back along its approach by :data:`STANDOFF`."""
+    """Return a hand pose moved back along its approach direction by :data:`STANDOFF`."""
     return Pose.of(X_WH.p - STANDOFF * X_WH.rotation[:, 2], X_WH.q)
 
 
 def _corrected(worker: ExpertWorker, robot: str, plan: PutPlan) -> Path:
-    """Replan the path down to a place with the object's present pose in the hand, because it may have slipped."""
+    """Replan the path down to a placement, because the object may have slipped in the hand.
+
+    If there is no such path, return the planned one up to the configuration where the object is at its release height:
+    further down, an object that slipped toward the fingertips would be pushed into its support.
+    """
     planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
-    goal = _over(plan.place.X_WO, DROP) @ held.X_HO.inverse()
-    return planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held) or plan.down
+    release = _over(plan.place.X_WO, DROP)
+    goal = release @ held.X_HO.inverse()
+    line = planner.line(worker.q[robot], goal, worker.now.robots[robot].gripper, held)
+    return line or until_height(plan.down, planner.arm.hand, held.X_HO, float(release.p[2]))
+
+
+def until_height(path: Path, hand: Callable[[Array], Pose], X_HO: Pose, height: float) -> Path:
+    """Cut a downward path where the origin of the object in the hand reaches a height.
+
+    Args:
+        path: The path.
+        hand: A function that returns the hand pose for a configuration.
+        X_HO: The pose of the object in the hand.
+        height: The height [m].
+    """
+    heights = [float((hand(q) @ X_HO).p[2]) for q in path]
+    below = next((k for k, z in enumerate(heights) if z < height), len(path))
+    if below in (0, len(path)):
+        return path[: max(below, 1)]
+    # Waypoints are at most 15 mm apart, so the height is close to linear between two of them.
+    fraction = (heights[below - 1] - height) / (heights[below - 1] - heights[below])
+    return [*path[:below], path[below - 1] + fraction * (path[below] - path[below - 1])]
 
 
 def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
-    """Plan the first place to which the arm can bring the held object, release it and retreat; None if there is
-    none.
-    """
+    """Plan the first placement that the arm can reach, release the object at, and retreat from, or return None."""
     planner = worker.planners[robot]
     reading = worker.now.robots[robot]
     held = Held(worker.held[robot].name, reading.X_WH.inverse() @ worker.now.state.poses[worker.held[robot].name])
@@ -276,7 +311,7 @@ def _plan_put(worker: ExpertWorker, robot: str, places: Iterable[PlaceAt]) -> Pu
 
 @dataclass(frozen=True, eq=False)
 class _Handle:
-    """The handle of a joint of an object in a state."""
+    """The handle that moves a joint of an object, in a given state."""
 
     item: SceneObject
     state: SceneState
@@ -284,17 +319,20 @@ class _Handle:
 
     @property
     def now(self) -> float:
-        """Position of the joint [rad or m]."""
+        """The position of the joint [rad or m]."""
         return self.state.joints[f"{self.item.name}.{self.joint.name}"]
 
     def motion(self, then: float) -> Pose:
-        """Motion in the world of a body fixed to the joint's child when the joint moves to ``then`` [rad or m]."""
+        """Return the motion of the joint's child in the world when the joint moves to ``then`` [rad or m]."""
         here, joints = object_at(self.item, self.state), self.state.of_object(self.item)
         X_OC, X_OD = (link_poses(here, {**joints, self.joint.name: q})[self.joint.child] for q in (self.now, then))
         return here.X_WO @ X_OD @ X_OC.inverse() @ here.X_WO.inverse()
 
     def front(self, corners: Array) -> Array:
-        """Direction in which it protrudes: that of a drawer's motion, or horizontally away from a hinge."""
+        """Return the direction in which the handle protrudes.
+
+        This is the opening direction of a drawer, or the horizontal direction away from a hinge.
+        """
         if self.joint.type is JointType.PRISMATIC:
             closed, opened = _ends(self.joint)
             outward = self.motion(self.now + math.copysign(1e-3, opened - closed))
@@ -305,8 +343,9 @@ class _Handle:
         return np.asarray(away / max(float(np.linalg.norm(away)), 1e-9))
 
     def grasps(self, jaws: Jaws) -> list[Grasp]:
-        """Grasps of geometry that protrudes from the joint's child, from the front, slanted and from above, best
-        first.
+        """Return grasps of the geometry that protrudes from the joint's child, best first.
+
+        The hand approaches from the front, at a downward slant, or from above.
         """
         shape = solid(self.item, self.state, [self.joint.child])
         front = self.front(shape.corners)
@@ -323,23 +362,26 @@ class _Handle:
 
 
 def _joint_of(item: SceneObject, name: str) -> Joint:
-    """Return the named joint, or the one that moves the named link; for an object alone, its first movable joint."""
+    """Return the joint with the given name, or the joint that moves the given link.
+
+    If the name is empty, return the first movable joint of the object.
+    """
     for joint in item.joints:
         if joint.has_axis and name in ("", joint.name, joint.child):
             return joint
-    raise FailedError(f"{item.name} has no joint {name} that moves")
+    raise FailedError(f"{item.name} has no movable joint {name}")
 
 
 def _ends(joint: Joint) -> tuple[float, float]:
-    """Positions at which a joint is closed (the limit nearer to zero) and fully open [rad or m]."""
+    """Return the closed and the fully open position of a joint [rad or m]; the closed one is closer to zero."""
     if joint.limits is None:
-        raise FailedError(f"joint {joint.name} has no limits, so it can neither open nor close")
+        raise FailedError(f"joint {joint.name} has no limits, so it cannot be opened or closed")
     low, high = joint.limits
     return (low, high) if abs(low) <= abs(high) else (high, low)
 
 
 def _plan_lead(worker: ExpertWorker, robot: str, handle: _Handle, goal: float) -> GraspPlan | None:
-    """Plan the first handle grasp with which the arm can lead the joint to ``goal`` [rad or m]."""
+    """Plan a grasp of the handle with which the arm can move the joint to ``goal`` [rad or m], or return None."""
     planner, tried = worker.planners[robot], 0
     for grasp in handle.grasps(planner.jaws):
         planner.cell.pose(robot, planner.arm.home, grasp.open)
@@ -355,7 +397,7 @@ def _plan_lead(worker: ExpertWorker, robot: str, handle: _Handle, goal: float) -
 
 
 def _led(planner: ArmPlanner, q: Array, grasp: Grasp, handle: _Handle, goal: float) -> GraspPlan | None:
-    """Plan the arm's paths from ``q`` to a grasp, along the joint, and back."""
+    """Plan the arm's paths from ``q`` to a grasp, along the joint's motion, and back."""
     to = _path_to(planner, q, grasp)
     along = None if to is None else _along(planner, to[-1], grasp, handle, goal)
     if to is None or along is None:
@@ -367,7 +409,10 @@ def _led(planner: ArmPlanner, q: Array, grasp: Grasp, handle: _Handle, goal: flo
 
 
 def _along(planner: ArmPlanner, q: Array, grasp: Grasp, handle: _Handle, goal: float) -> Path | None:
-    """Postures in which the hand follows the joint, slightly past its closed end; None if it cannot."""
+    """Return configurations in which the hand follows the joint, or None if the arm cannot follow it.
+
+    When the joint is closed, the hand moves slightly past its closed end.
+    """
     now, held = handle.now, planner.jaws.at_width(grasp.width)[0]
     far = goal + math.copysign(BEYOND, goal - now) if abs(goal - _ends(handle.joint)[0]) < 1e-9 else goal
     count = max(1, math.ceil(abs(far - now) / STEP))

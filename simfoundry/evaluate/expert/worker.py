@@ -15,29 +15,37 @@ from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 
 JOINT, HAND = 1.1, 0.35
-"""Maximum speeds of a joint [rad/s] and of the hand [m/s]: half of a Panda's limits."""
+"""Maximum joint speed [rad/s] and hand speed [m/s]: half of the limits of a Panda."""
 
 AROUND = 0.4
-"""Share of both speeds on paths with corners: servos with a lag of 0.1 s cut corners by 3 cm at full speed."""
+"""Fraction of both speeds used on paths with corners; at full speed, servos with a lag of 0.1 s cut corners by 3 cm."""
 
 CAREFUL = 0.12
 """Maximum hand speed near objects [m/s]."""
 
 RAMP = 0.35
-"""Time from rest to full speed [s]."""
+"""Time to accelerate from rest to full speed [s]."""
 
 
 def paced(
     path: Path, hand: Callable[[Array], Pose], hz: float, speed: float = HAND, joint: float = JOINT
 ) -> list[Array]:
-    """Postures at each control step (``hz``) of a path, no faster than ``speed`` [m/s] and ``joint`` [rad/s]."""
+    """Return the configuration at each control step of a path.
+
+    Args:
+        path: The path.
+        hand: A function that returns the hand pose for a configuration.
+        hz: The control frequency [Hz].
+        speed: The maximum speed of the hand [m/s].
+        joint: The maximum speed of each joint [rad/s].
+    """
     points = _dense(path)
     places = np.array([hand(q).p for q in points])
     joints = np.abs(np.diff(points, axis=0)).max(axis=1, initial=0.0) / joint
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1) / speed
     at = np.concatenate([[0.0], np.cumsum(np.maximum(np.maximum(joints, moved), 1e-9))])
     length = float(at[-1])
-    # From rest to rest: a trapezoidal speed profile, or a triangular one if the path is short.
+    # The speed profile from rest to rest is trapezoidal, or triangular if the path is short.
     ramp = min(RAMP, float(np.sqrt(length * RAMP)))
     top = ramp / RAMP
     total = length / top + ramp if ramp == RAMP else 2 * ramp
@@ -52,7 +60,7 @@ def paced(
 
 
 def _dense(path: Path) -> Array:
-    """Interpolate the path densely enough to determine the speed of the hand, shape (k, n)."""
+    """Interpolate a path densely enough to determine the speed of the hand, shape (k, n)."""
     found = [path[0]]
     for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / 0.05)))
@@ -61,27 +69,31 @@ def _dense(path: Path) -> Array:
 
 
 Script = Generator[None, None, None]
-"""A skill in progress; each ``yield`` is a control step with the present commands."""
+"""A skill in progress; each ``yield`` ends a control step with the current commands."""
 
 LOST = 0.03
-"""Displacement of a held object in the hand between two observations above which it is lost [m]; it may creep."""
+"""Displacement of a held object within the hand between two observations above which it counts as lost [m]; slow creep
+is allowed.
+"""
 
 ARRIVED = 0.003
-"""Position tolerance for a joint at its target [rad]."""
+"""Position tolerance within which a joint has reached its target [rad]."""
 
 PATIENCE = 12
-"""Maximum number of control steps to wait for an arm."""
+"""Maximum number of control steps to wait for an arm to reach its target."""
 
 CORRECTION, MOST = 0.6, 0.05
-"""Share of a resting arm's error added to its targets each time, and total limit [rad], to compensate for servo sag."""
+"""Fraction of a resting arm's position error that is added to its targets in each update, and the limit on the total
+[rad]. This compensates for servo sag.
+"""
 
 
 class FailedError(Exception):
-    """Failure of a skill; the message gives the reason."""
+    """An error raised if a skill fails; the message contains the reason."""
 
 
 class ExpertWorker:
-    """The arms of a task's robots, their commands and the latest observation."""
+    """The arms of a task's robots, with their commands and the latest observation."""
 
     def __init__(self, scene: Scene, robots: Sequence[str], hz: float) -> None:
         self.scene, self.hz = scene, hz
@@ -91,13 +103,15 @@ class ExpertWorker:
         self.begin(0)
 
     def begin(self, seed: int) -> None:
-        """Forget everything."""
+        """Reset all state at the start of a rollout."""
         self.rng = np.random.default_rng(seed)
         self.planners: dict[str, ArmPlanner] = {}
         for name, arm in self.arms.items():
             fingers = jaws(arm.robot)
             if fingers is None:
-                raise RobotModelError(f"robot `{name}` has no gripper whose fingers close along the y of its hand")
+                raise RobotModelError(
+                    f"robot `{name}` does not have a gripper whose fingers close along the y axis of its hand"
+                )
             self.planners[name] = ArmPlanner(self.cell, arm, fingers, self.rng)
         self.q: dict[str, Array] = {}
         self.share = dict.fromkeys(self.arms, 0.0)
@@ -106,7 +120,7 @@ class ExpertWorker:
         self._before: dict[str, Array] = {}
 
     def look(self, observation: Observation) -> None:
-        """Store an observation; for an arm at rest, update the sag compensation."""
+        """Store an observation; for each arm at rest, update the sag compensation."""
         self.now = observation
         for name in self.arms:
             measured = observation.robots[name].joints
@@ -118,28 +132,28 @@ class ExpertWorker:
             self._before[name] = self.q[name]
 
     def command(self) -> Array:
-        """Action of the present step."""
+        """Return the action for the current control step."""
         parts = [np.append(self.q[name] + self._bias[name], self.share[name]) for name in self.arms]
         return np.concatenate(parts)
 
     def sync(self) -> None:
-        """Set the planning model to the present state."""
+        """Set the planning scene to the current state."""
         grippers = {name: self.now.robots[name].gripper for name in self.arms}
         self.cell.sync(self.now.state, self.q, grippers)
 
     def go(self, robot: str, path: Path) -> Script:
-        """Follow a path through free space, at full speed if straight, slower around corners, and settle."""
+        """Follow a path through free space and settle; paths with corners are followed more slowly."""
         share = 1.0 if len(path) <= 2 else AROUND
         yield from self.follow(robot, path, share * HAND, share * JOINT)
         yield from self.settle(robot)
 
     def creep(self, robot: str, path: Path) -> Script:
-        """Follow a path near objects, and settle."""
+        """Follow a path slowly near objects, and settle."""
         yield from self.follow(robot, path, CAREFUL)
         yield from self.settle(robot)
 
     def follow(self, robot: str, path: Path, speed: float = HAND, joint: float = JOINT) -> Script:
-        """Follow a path no faster than ``speed`` [m/s] of the hand and ``joint`` [rad/s]."""
+        """Follow a path at no more than ``speed`` [m/s] for the hand and ``joint`` [rad/s] for each joint."""
         for q in paced(path, self.arms[robot].hand, self.hz, speed, joint):
             self.q[robot] = q
             yield
@@ -154,12 +168,12 @@ class ExpertWorker:
                 return
 
     def wait(self, seconds: float) -> Script:
-        """Do nothing."""
+        """Hold still for a number of seconds."""
         for _ in range(max(1, round(seconds * self.hz))):
             yield
 
     def grip(self, robot: str, share: float) -> Script:
-        """Close the gripper by ``share``, or as far as it goes."""
+        """Close the gripper by the fraction ``share``, or until it stops moving."""
         self.share[robot] = share
         last = -1.0
         for k in range(round(1.5 * self.hz)):
@@ -178,5 +192,5 @@ class ExpertWorker:
         X_HO = self.now.robots[robot].X_WH.inverse() @ self.now.state.poses[held.name]
         if np.linalg.norm(X_HO.p - held.X_HO.p) > LOST:
             del self.held[robot]
-            raise FailedError(f"{held.name} slipped out of the hand of {robot}")
+            raise FailedError(f"{held.name} slipped out of {robot}'s hand")
         self.held[robot] = Held(held.name, X_HO)

@@ -1,1 +1,1 @@
-"""Policies: in-process and remote sources of actions."""
+"""Policies, in this process or behind a server, that produce actions."""

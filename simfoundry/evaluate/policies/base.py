@@ -1,4 +1,4 @@
-"""The interface of policies, and their observations."""
+"""The interface that all policies implement, and the observations they receive."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ Image = NDArray[np.uint8]
 
 
 class ActionSpace(StrEnum):
-    """Meaning of the numbers of an action; protocols do not transmit it, so a policy's spec states it."""
+    """The meaning of the numbers in an action.
+
+    Protocols do not transmit this information, so each policy has to declare it.
+    """
 
     JOINT_POSITION = "joint_position"
     JOINT_VELOCITY = "joint_velocity"
@@ -32,7 +35,7 @@ class ActionSpace(StrEnum):
 
 @dataclass(frozen=True)
 class ImageSize:
-    """Size in pixels of an image requested by a policy."""
+    """The size of an image that a policy requests [px]."""
 
     width: int
     height: int
@@ -40,9 +43,13 @@ class ImageSize:
 
 @dataclass(frozen=True, eq=False)
 class RobotReading:
-    """A robot's proprioception: ``joints`` [rad or m] of the arm in order, shape (n,); ``gripper`` 0 open to 1 closed.
+    """The proprioceptive state of a robot.
 
-    ``X_WH`` is the pose of its hand in the world, ``X_BH`` in its base.
+    Attributes:
+        joints: The positions of the arm's joints in order [rad or m], shape (n,).
+        gripper: The position of the gripper, from 0 (open) to 1 (closed).
+        X_WH: The pose of the hand in the world.
+        X_BH: The pose of the hand in the robot's base frame.
     """
 
     joints: Array
@@ -55,8 +62,12 @@ class RobotReading:
 class Observation:
     """The input of a policy.
 
-    ``time`` [s] since the start; ``robots`` that act, in the task's order; requested ``images`` by camera of the scene;
-    ``state`` is the true state, for privileged policies such as the scripted expert.
+    Attributes:
+        time: The time since the start of the rollout [s].
+        instruction: The instruction of the task.
+        robots: The robots that act, in the order of the task.
+        images: The requested images, by the name of the camera in the scene.
+        state: The true state, for privileged policies such as the scripted expert.
     """
 
     time: float
@@ -67,11 +78,12 @@ class Observation:
 
 
 class Policy(Protocol):
-    """A policy, which determines the robots' next actions.
+    """A policy, which determines the next actions of the robots.
 
-    An action has, for each robot of the task in order, its arm's joints (positions [rad or m], or velocities [rad/s or
-    m/s], by ``action_space``) and then its gripper, 0 open to 1 closed. ``name`` is that in reports; ``cameras`` are
-    those of the scene that the policy uses, with their image sizes; nothing else is rendered.
+    An action contains, for each robot in the order of the task, the values of its arm's joints followed by its gripper,
+    from 0 (open) to 1 (closed). The joint values are positions [rad or m] or velocities [rad/s or m/s], depending on
+    ``action_space``. ``name`` is the name in reports. ``cameras`` lists the cameras in the scene that the policy uses,
+    with the size of each image; no other camera is rendered.
     """
 
     name: str
@@ -79,11 +91,11 @@ class Policy(Protocol):
     cameras: Mapping[str, ImageSize] = MappingProxyType({})
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout. All randomness of the policy must derive from ``seed``."""
+        """Start a rollout; all randomness in the policy must derive from ``seed``."""
 
     @abstractmethod
     def infer(self, observation: Observation) -> Array:
-        """Return actions to apply before the next call, shape (horizon, numbers of an action)."""
+        """Return the actions to apply before the next call, shape (horizon, action size)."""
 
     def close(self) -> None:
         """Release all resources."""
@@ -91,32 +103,43 @@ class Policy(Protocol):
 
 
 class PolicyError(SimfoundryError):
-    """A policy that cannot be queried or does not answer, so its performance is unknown; the message gives the
-    remedy.
+    """An error raised if a policy cannot be queried or does not respond, so that its performance remains unknown.
+
+    The message says how to fix the problem.
     """
 
 
 class InvalidAnswerError(PolicyError):
-    """A policy's answer that is an error or not an array of actions; the rollout counts as failed."""
+    """An error raised if a policy does not return a valid array of actions; the rollout then fails."""
 
 
 def action_size(robots: Mapping[str, RobotReading | WorldRobot]) -> int:
-    """Length of an action: for each robot its joints and its gripper."""
+    """Return the length of an action, which contains the joints and the gripper of each robot."""
     return sum(len(robot.joints) + 1 for robot in robots.values())
 
 
 def checked_actions(
     actions: object, robots: Mapping[str, RobotReading | WorldRobot], subject: str = "actions", single: bool = False
 ) -> Array:
-    """Validate the answer of a policy as finite actions, shape (horizon, numbers of an action), or one if ``single``.
+    """Validate the response from a policy and return it as an array of finite actions.
 
-    Raises :class:`InvalidAnswerError`, whose message is about ``subject``.
+    Args:
+        actions: The response, which may be any object.
+        robots: The robots to be controlled.
+        subject: A description of the response for error messages.
+        single: Whether to expect a single action instead of a sequence of actions.
+
+    Returns:
+        The actions, shape (horizon, action size), or (action size,) if ``single`` is set.
+
+    Raises:
+        InvalidAnswerError: If the response is not such an array.
     """
     size = action_size(robots)
     try:
         array = np.asarray(actions)
         if array.dtype.kind not in "fiubO":  # NumPy would convert complex numbers and text
-            raise TypeError(f"an array of `{array.dtype}`")
+            raise TypeError(f"it is an array of `{array.dtype}`")
         array = np.array(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         message = f"{subject} must be an array of numbers, got {type(actions).__name__}: {error}"

@@ -1,11 +1,11 @@
-"""Arrays in msgpack, as sent by openpi, RoboArena and GR00T; received data is never executed.
+"""Array encoding in msgpack, as used by openpi, RoboArena and GR00T; received data is never executed.
 
-openpi and RoboArena send an array as a map ``{b"__ndarray__": True, b"data", b"dtype", b"shape"}``, a NumPy scalar as
-``{b"__npgeneric__": True, b"data", b"dtype"}`` (openpi-client 0.1.2, ``msgpack_numpy.py``). GR00T sends an array as a
-NumPy file, ``{"__ndarray_class__": True, "as_npy": bytes}``, and describes the inputs and outputs of a policy by
+openpi and RoboArena encode an array as a map ``{b"__ndarray__": True, b"data", b"dtype", b"shape"}`` and a NumPy scalar
+as ``{b"__npgeneric__": True, b"data", b"dtype"}`` (openpi-client 0.1.2, ``msgpack_numpy.py``). GR00T encodes an array
+as a NumPy file, ``{"__ndarray_class__": True, "as_npy": bytes}``, and describes the inputs and outputs of a policy with
 ``{"__ModalityConfig_class__": True, "as_json": {...}}`` (``gr00t/policy/server_client.py``, N1.6 and N1.7). Only
-numbers and booleans are allowed: objects (which other codecs pickle), structures and complex numbers are refused, and
-nothing larger than the message is allocated.
+numbers and booleans are accepted. Objects (which other codecs pickle), structured types and complex numbers are
+rejected, and decoding never allocates more memory than the size of the message.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 
 PLAIN = "fiub"
-"""Accepted kinds of NumPy types: floats, integers, booleans."""
+"""Accepted kinds of NumPy types: floats, integers and booleans."""
 MAX_DIMENSIONS = 8
 
 
 class CodecError(ValueError):
-    """A message that violates the protocol; the text describes the violation."""
+    """An error raised for messages that violate the protocol; its text describes the violation."""
 
 
 @dataclass(frozen=True)
 class Codec:
-    """Messages in msgpack; ``to_map`` and ``from_map`` convert the values that msgpack itself does not have."""
+    """A msgpack codec for messages; ``to_map`` and ``from_map`` convert the values that msgpack cannot represent."""
 
     to_map: Callable[[Any], Any]
     from_map: Callable[[dict[Any, Any]], Any]
@@ -47,7 +47,7 @@ class Codec:
         return packed
 
     def unpack(self, data: bytes) -> Any:
-        """Parse a message from bytes; raises :class:`CodecError`."""
+        """Parse a message from bytes; raises :class:`CodecError` if the message is invalid."""
         import msgpack
 
         try:
@@ -55,29 +55,37 @@ class Codec:
         except CodecError:
             raise
         except (ValueError, RecursionError, msgpack.exceptions.UnpackException) as error:
-            raise CodecError(f"it is not msgpack ({str(error).rstrip('.') or type(error).__name__})") from None
+            raise CodecError(f"it is not valid msgpack ({str(error).rstrip('.') or type(error).__name__})") from None
 
 
 def array_of(data: bytes, dtype: np.dtype[Any], shape: tuple[int, ...], order: str = "C") -> np.ndarray[Any, Any]:
-    """Interpret bytes as an array of exactly that size; raises :class:`CodecError`."""
+    """Interpret bytes as an array of exactly that size; raises :class:`CodecError` if the type or shape is invalid."""
     if dtype.kind not in PLAIN:
-        raise CodecError(f"it holds an array of `{dtype}`, not of plain numbers")
+        raise CodecError(f"it contains an array of `{dtype}`, but only plain numbers are allowed")
     if len(shape) > MAX_DIMENSIONS or any(n < 0 for n in shape):
-        raise CodecError(f"it holds an array of the invalid shape {list(shape)[:MAX_DIMENSIONS]}")
+        raise CodecError(f"it contains an array with the invalid shape {list(shape)[:MAX_DIMENSIONS]}")
     if math.prod(shape) * dtype.itemsize != len(data):
-        raise CodecError(f"it holds an array of {list(shape)} `{dtype}` in {len(data)} bytes")
+        raise CodecError(
+            f"it contains an array of shape {list(shape)} and type `{dtype}`, which does not fit {len(data)} bytes"
+        )
     array = np.frombuffer(data, dtype) if data else np.empty(0, dtype)
     return array.reshape(shape, order="F" if order == "F" else "C")
 
 
 def type_of(name: Any) -> np.dtype[Any]:
-    """Return the type named by a text such as ``<f4``; raises :class:`CodecError`. Only short texts are parsed."""
+    """Return the NumPy type with a name such as ``<f4``.
+
+    Names longer than eight characters are not parsed.
+
+    Raises:
+        CodecError: If the type is unknown.
+    """
     try:
         if not isinstance(name, str) or len(name) > 8:
             raise TypeError
         return np.dtype(name)
     except (TypeError, ValueError):
-        raise CodecError("it holds an array of an unknown type") from None
+        raise CodecError("it contains an array of unknown type") from None
 
 
 def _array_to_map(value: Any) -> Any:
@@ -93,21 +101,21 @@ def _map_to_array(found: dict[Any, Any]) -> Any:
     if b"__ndarray__" in found:
         data, shape = found.get(b"data"), found.get(b"shape")
         if not isinstance(data, bytes) or not isinstance(shape, list) or not all(type(n) is int for n in shape):
-            raise CodecError("it holds an array without data or shape")
+            raise CodecError("it contains an array without data or shape")
         return array_of(data, type_of(found.get(b"dtype")), tuple(shape))
     if b"__npgeneric__" in found:
         kind, value = type_of(found.get(b"dtype")), found.get(b"data")
         if kind.kind not in PLAIN or not isinstance(value, bool | int | float):
-            raise CodecError("it holds a number of an unknown type")
+            raise CodecError("it contains a number of unknown type")
         try:
             return kind.type(value)
         except (OverflowError, ValueError):
-            raise CodecError(f"it holds a number out of range for `{kind}`") from None
+            raise CodecError(f"it contains a number out of range for `{kind}`") from None
     return found
 
 
 HEADER = 10_000
-"""Maximum header size of a NumPy file [bytes]."""
+"""Maximum size of the header of a NumPy file [bytes]."""
 
 
 def _array_to_npy_map(value: Any) -> Any:
@@ -131,35 +139,35 @@ def _npy_map_to_value(found: dict[Any, Any]) -> Any:
         except ValueError:
             described = None
         if not isinstance(described, dict):
-            raise CodecError("it holds a modality without a description")
+            raise CodecError("it contains a modality without a description")
         return described
     return found
 
 
 def from_npy(data: Any) -> np.ndarray[Any, Any]:
-    """Parse an array from a NumPy file; raises :class:`CodecError`.
+    """Parse an array from a NumPy file; raises :class:`CodecError` if the file is invalid.
 
-    ``numpy.load`` allocates the size stated by the header before it checks the available data; here both must agree
-    first.
+    ``numpy.load`` allocates the size declared in the header before it checks how much data is available. This function
+    first verifies that the two agree.
     """
     if not isinstance(data, bytes) or not data.startswith(b"\x93NUMPY") or data[6:7] not in (b"\x01", b"\x02"):
-        raise CodecError("it holds an array that is not a NumPy file")
+        raise CodecError("it contains an array that is not a NumPy file")
     wide = 2 if data[6] == 1 else 4
     length = int.from_bytes(data[8 : 8 + wide], "little")
     start = 8 + wide
     if length > HEADER or start + length > len(data):
-        raise CodecError("it holds an array whose header is too long")
+        raise CodecError("it contains an array whose header is too long")
     try:
         header = ast.literal_eval(data[start : start + length].decode("latin1").strip())
         shape, kind, columns = header["shape"], header["descr"], header["fortran_order"]
     except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError):
-        raise CodecError("it holds an array whose header cannot be read") from None
+        raise CodecError("it contains an array whose header could not be parsed") from None
     if not isinstance(shape, tuple) or not all(type(n) is int for n in shape):
-        raise CodecError("it holds an array without a shape")
+        raise CodecError("it contains an array without a shape")
     return array_of(data[start + length :], type_of(kind), shape, "F" if columns is True else "C")
 
 
 OPENPI_CODEC = Codec(_array_to_map, _map_to_array)
-"""Messages of openpi, RoboArena and DreamZero."""
+"""The codec for messages of openpi, RoboArena and DreamZero."""
 GROOT_CODEC = Codec(_array_to_npy_map, _npy_map_to_value)
-"""Messages of GR00T; a modality becomes the mapping of its JSON."""
+"""The codec for messages of GR00T; a modality is decoded to the mapping in its JSON."""

@@ -1,4 +1,4 @@
-"""Policies of GR00T N1.6 and N1.7 (``gr00t/policy/server_client.py``), over ZeroMQ."""
+"""A client for GR00T N1.6 and N1.7 policies (``gr00t/policy/server_client.py``) over ZeroMQ."""
 
 from __future__ import annotations
 
@@ -26,54 +26,54 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 MANY = 64
-"""Upper limit of keys and steps, above those of any known policy."""
+"""Upper limit on the number of keys and time steps, above that of any known policy."""
 
 DROID_HAND = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Rotation of DROID's hand in GR00T's convention, relative to the hand's own frame."""
+"""The rotation of DROID's hand in GR00T's convention, relative to the hand frame."""
 
 
 @dataclass(frozen=True)
 class Modality:
-    """The ``keys`` of one modality and its time ``steps``, 0 for the present and negative for earlier ones."""
+    """The ``keys`` of one modality and its time ``steps``; 0 is the current step, negative steps are in the past."""
 
     keys: tuple[str, ...]
     steps: tuple[int, ...]
 
 
 def modality(found: Any, name: str) -> Modality:
-    """Parse one modality of an answer to ``get_modality_config``; raises :class:`PolicyError`."""
+    """Parse one modality from the response to ``get_modality_config``; raises :class:`PolicyError` if it is invalid."""
     described = found.get(name) if isinstance(found, dict) else None
     if not isinstance(described, dict):
         raise PolicyError(f"the server does not describe its `{name}`")
     keys, steps = described.get("modality_keys"), described.get("delta_indices")
     if not isinstance(keys, list) or not 0 < len(keys) <= MANY or not all(isinstance(k, str) for k in keys):
-        raise PolicyError(f"`modality_keys` of the server's `{name}` is not a list of names")
+        raise PolicyError(f"`modality_keys` in the server's `{name}` is not a list of names")
     if not isinstance(steps, list) or not 0 < len(steps) <= MANY or not all(type(s) is int for s in steps):
-        raise PolicyError(f"`delta_indices` of the server's `{name}` is not a list of steps")
+        raise PolicyError(f"`delta_indices` in the server's `{name}` is not a list of steps")
     return Modality(tuple(keys), tuple(steps))
 
 
 def eef_9d(X_BH: Pose) -> Array:
-    """Hand pose in the base frame as in GR00T's training on DROID: position [m], then the first two rows of the
-    rotation.
+    """Encode a hand pose in the base frame as in GR00T's training on DROID.
 
-    The rotation is the hand's times a fixed one of DROID; shape (9,).
+    The result contains the position [m] followed by the first two rows of the rotation matrix, shape (9,). The rotation
+    is that of the hand multiplied by the constant rotation :data:`DROID_HAND`.
     """
     rotation = X_BH.rotation @ DROID_HAND
     return np.concatenate([X_BH.p, rotation[0], rotation[1]])
 
 
 LARGEST = 64 * 2**20
-"""Maximum size of an answer [bytes]; ZeroMQ disconnects on a larger one."""
+"""The maximum size of a response [bytes]; ZeroMQ disconnects if a response is larger."""
 PING_S = 5.0
-"""Timeout for the answer to a ping [s]."""
+"""The timeout for the response to a ping [s]."""
 
 
 class Requests(ServerConnection):
-    """A REQ socket, which is replaced after a missing answer, because it cannot be used any more.
+    """A REQ socket that is replaced after a missing response, because it can no longer be used then.
 
-    ZeroMQ connects in the background and does not report missing servers: a short ``ping`` before a rollout detects
-    them. A message goes in each direction.
+    ZeroMQ connects in the background and does not report missing servers, so a short ``ping`` before each rollout
+    detects them. Each exchange consists of one request and one response.
     """
 
     codec = GROOT_CODEC
@@ -84,7 +84,11 @@ class Requests(ServerConnection):
         self._monitor: Any = None
 
     def begin(self) -> None:
-        """Verify that the server is there; raises :class:`PolicyError` after ``spec.retries`` further attempts."""
+        """Verify that the server is available, retrying up to ``spec.retries`` times.
+
+        Raises:
+            PolicyError: If the server is not available.
+        """
         fresh = self._socket is None
         for left in range(self.spec.retries, -1, -1):
             if self._ping():
@@ -93,12 +97,12 @@ class Requests(ServerConnection):
             fresh = True
             if left:
                 self.record.reconnects += 1
-        raise self.fail(f"no server answers at {self.uri}{self.retried}")
+        raise self.fail(f"could not reach a server at {self.uri}{self.retried}")
 
     def ask(self, endpoint: str, data: Mapping[str, Any] | None = None) -> Any:
-        """Return the answer of an endpoint; raises :class:`PolicyError`.
+        """Return the response from an endpoint; raises :class:`PolicyError` on failure.
 
-        A query is never repeated, because the server's rollout state would then differ from the actual rollout.
+        A request is never repeated, because the rollout state of the server would then differ from the actual rollout.
         """
         with self.timed():
             return self._sound(self._exchange(endpoint, data, self.patience))
@@ -157,7 +161,12 @@ class Requests(ServerConnection):
         return answer
 
     def _wait(self, zmq: Any, socket: Any, patience: float, is_ping: bool) -> None:
-        """Wait for an answer; raises ``zmq.Again`` on timeout, :class:`PolicyError` if the server has disconnected."""
+        """Wait for a response.
+
+        Raises:
+            zmq.Again: If the timeout expires.
+            PolicyError: If the server has disconnected.
+        """
         poller = zmq.Poller()
         poller.register(socket, zmq.POLLIN)
         poller.register(self._monitor, zmq.POLLIN)
@@ -168,8 +177,8 @@ class Requests(ServerConnection):
                 return
             if self._monitor in ready and _event(self._monitor) == zmq.EVENT_DISCONNECTED and not is_ping:
                 self.close()
-                large = f"its answer is larger than {LARGEST // 2**20} MiB"
-                raise self.fail(f"the server at {self.uri} closed the connection: it has stopped, or {large}")
+                large = f"its response is larger than {LARGEST // 2**20} MiB"
+                raise self.fail(f"the server at {self.uri} closed the connection: either it has stopped, or {large}")
         raise zmq.Again
 
     def _opened(self, zmq: Any) -> Any:
@@ -186,23 +195,23 @@ class Requests(ServerConnection):
 
 
 def _event(monitor: Any) -> int:
-    """Return the number of a monitor event: the first two bytes of a report."""
+    """Return the ID of a monitor event, which is stored in the first two bytes of the message."""
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)
 
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
-"""Servers' names for the robot's state, and the corresponding ones of a policy document; ``eef_9d`` is computed
+"""Mapping from the server's names for parts of the robot state to those of a policy document; ``eef_9d`` is handled
 separately.
 """
 ACTION = ("joint_position", "gripper_position")
-"""Parts of an answer that are executed."""
+"""Parts of a response that are executed."""
 
 
 class GrootPolicy(RemotePolicy):
-    """A client of GR00T's ``PolicyServer``, for one arm.
+    """A client of GR00T's ``PolicyServer`` for a single arm.
 
-    The server describes its inputs (``get_modality_config``). If it needs images of earlier steps, as N1.7 does, they
-    are those of earlier queries: ``horizon`` must divide the number of steps that it looks back.
+    The server describes its inputs (``get_modality_config``). If it needs images of earlier steps, as N1.7 does, the
+    images of earlier requests are used, so the number of steps it looks back must be divisible by ``horizon``.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -212,7 +221,7 @@ class GrootPolicy(RemotePolicy):
         self._past: list[Mapping[str, Mapping[str, Any]]] = []
 
     def begin(self) -> None:
-        """Query the server's modalities, check them against the document, and reset the server's rollout."""
+        """Request the server's modalities, check them against the document, and reset the server's rollout state."""
         self._requests.begin()
         self._past = []
         found = self._requests.ask("get_modality_config")
@@ -224,9 +233,9 @@ class GrootPolicy(RemotePolicy):
         self._requests.ask("reset", {"options": None})
 
     def ask(self, observation: Observation) -> object:
-        """Return the joints and gripper of the answer side by side, shape (steps, 8) for a Franka."""
+        """Return the joints and gripper of the response side by side, shape (steps, 8) for a Franka."""
         if len(observation.robots) != 1:
-            message = f"a groot policy moves one arm, but the task has {len(observation.robots)} robots"
+            message = f"a groot policy controls one arm, but the task has {len(observation.robots)} robots"
             raise self._requests.fail(message)
         self._past = [*self._past, self._seen(observation)][-self._depth() :]
         request = {
@@ -238,7 +247,7 @@ class GrootPolicy(RemotePolicy):
         try:
             return _joined(answer)
         except PolicyError as error:
-            message = f"the answer of {self._requests.uri} cannot be read: {error}"
+            message = f"could not parse the response from {self._requests.uri}: {error}"
             raise self._requests.fail(message, InvalidAnswerError) from None
 
     def close(self) -> None:
@@ -246,12 +255,12 @@ class GrootPolicy(RemotePolicy):
         self._requests.close()
 
     def _depth(self) -> int:
-        """Number of remembered time steps, including the present one."""
+        """Return the number of requests to remember, including the current one."""
         steps = (*self._takes["video"].steps, *self._takes["state"].steps)
         return 1 + max(-step // self.spec.horizon for step in steps)
 
     def _seen(self, observation: Observation) -> Mapping[str, Mapping[str, Any]]:
-        """Collect all inputs of the server at this time."""
+        """Collect all inputs that the server needs at the current time."""
         images = pictures(self.spec, observation)
         (robot,) = observation.robots.values()
         senses = {
@@ -263,36 +272,41 @@ class GrootPolicy(RemotePolicy):
         return {"video": {k: images[k] for k in self._takes["video"].keys}, "state": senses}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
-        """Values at the time steps that the server requests, padded by repeating the first; shape (1, T, ...)."""
+        """Return the values at the time steps that the server requests, shape (1, T, ...).
+
+        Time steps before the start of the rollout are padded with the first value.
+        """
         last = len(self._past) - 1
         moments = [max(0, last + step // self.spec.horizon) for step in self._takes[kind].steps]
         return np.stack([np.asarray(self._past[k][kind][key], dtype=number) for k in moments])[None]
 
 
 def _check(spec: PolicySpec, takes: Mapping[str, Modality]) -> None:
-    """Raise :class:`PolicyError` if the document, or this client, lacks an input that the server needs."""
+    """Raise :class:`PolicyError` if the document or this client does not provide an input that the server needs."""
     for key in takes["video"].keys:
         if key not in spec.cameras:
-            raise PolicyError(f"the server needs the image `{key}`, which is missing in `cameras` of {spec.name}")
+            raise PolicyError(f"the server needs the image `{key}`, which is missing from `cameras` in {spec.name}")
     for key in takes["state"].keys:
         if key not in READINGS and key != "eef_9d":
             known = ", ".join([*READINGS, "eef_9d"])
             raise PolicyError(f"the server needs the state `{key}`; this client supports {known}")
     missing = [key for key in ACTION if key not in takes["action"].keys]
     if missing:
-        raise PolicyError(f"the server's actions have no `{missing[0]}`, only {', '.join(takes['action'].keys)[:200]}")
+        raise PolicyError(
+            f"the server's actions do not contain `{missing[0]}`, only {', '.join(takes['action'].keys)[:200]}"
+        )
     for kind in ("video", "state"):
         for step in takes[kind].steps:
             if step > 0 or -step % spec.horizon:
                 fits = [n for n in range(1, -step + 1) if -step % n == 0]
                 raise PolicyError(
-                    f"the server looks {-step} steps back, but `horizon: {spec.horizon}` makes no query at that step; "
-                    f"use one of {', '.join(map(str, fits))}"
+                    f"the server looks {-step} steps back, but with `horizon: {spec.horizon}` there is no request at "
+                    f"that step; set `horizon` to {', '.join(map(str, fits))}"
                 )
 
 
 def _joined(answer: Any) -> Array:
-    """Join the parts of an action side by side, from an answer ``[actions, info]``."""
+    """Concatenate the parts of each action in a response, which has the form ``[actions, info]``."""
     parts = answer[0] if isinstance(answer, list | tuple) and answer else answer
     if not isinstance(parts, dict):
         raise PolicyError(f"it is a `{type(parts).__name__}`, not a mapping of actions")
@@ -301,7 +315,7 @@ def _joined(answer: Any) -> Array:
         part = parts.get(key, parts.get(f"action.{key}"))
         if not isinstance(part, np.ndarray) or part.ndim != 3 or part.shape[0] != 1:
             what = f"of shape {part.shape}" if isinstance(part, np.ndarray) else f"a `{type(part).__name__}`"
-            raise PolicyError(f"`{key}` is {what}, not an array (1, steps, numbers)")
+            raise PolicyError(f"`{key}` is {what}, but must be an array of shape (1, steps, numbers)")
         if part.dtype.kind not in "fiu":
             raise PolicyError(f"`{key}` is an array of `{part.dtype}`, not of numbers")
         found.append(part[0].astype(np.float64))

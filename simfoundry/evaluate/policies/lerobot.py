@@ -1,9 +1,9 @@
 """Serve LeRobot checkpoints over openpi's protocol: ``python -m simfoundry.evaluate.policies.lerobot CHECKPOINT``.
 
-Runs in an environment with LeRobot and its PyTorch, which SimFoundry itself does not need; a policy document with
-``protocol: openpi`` connects to it from any other. The keys of the messages are the checkpoint's own features
-(``observation.state``, ``observation.images.front``); the instruction is ``prompt``. LeRobot's own remote protocol
-unpickles received data and is therefore not used.
+Run this server in an environment with LeRobot and PyTorch, which SimFoundry itself does not require. Evaluations in any
+other environment can then connect to it with a policy document that has ``protocol: openpi``. The message keys are the
+names of the checkpoint's features (``observation.state``, ``observation.images.front``), and the instruction is sent as
+``prompt``. LeRobot's own remote protocol is not used because it unpickles received data.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} le
 
 
 def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:
-    """Load a checkpoint from a folder or the Hub; return the inference function and its input and output features.
+    """Load a checkpoint from a folder or the Hub; return its inference function and its input and output features.
 
-    Raises :class:`PolicyError` if LeRobot is missing or the checkpoint is invalid. Inference is not seeded: a
-    stochastic policy draws new random numbers for each query.
+    Inference is not seeded, so a stochastic policy draws new random numbers for each request.
+
+    Raises:
+        PolicyError: If LeRobot is missing or the checkpoint is invalid.
     """
     torch = needed("torch", "a LeRobot checkpoint", INSTALL)
     factory = needed("lerobot.policies.factory", "a LeRobot checkpoint", INSTALL)
@@ -42,8 +44,8 @@ def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, 
         reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
         raise PolicyError(f"{checkpoint} is not a checkpoint that the installed LeRobot can load: {reason}") from None
     if getattr(config, "n_obs_steps", 1) > 1:
-        message = f"{checkpoint} needs {config.n_obs_steps} observation steps, but a query provides one"
-        raise PolicyError(f"{message}; policies with `n_obs_steps: 1` can be served (act, pi0, pi05, smolvla)")
+        message = f"{checkpoint} needs {config.n_obs_steps} observation steps, but a request provides only one"
+        raise PolicyError(f"{message}; only policies with `n_obs_steps: 1` can be served (act, pi0, pi05, smolvla)")
     policy.eval()
     takes = {name: list(feature.shape) for name, feature in config.input_features.items()}
 
@@ -60,15 +62,17 @@ def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, 
 
 
 def feature(question: Mapping[str, Any], name: str, shape: list[int]) -> np.ndarray[Any, Any]:
-    """Convert one feature of a query to LeRobot's format; raises :class:`ValueError` naming the missing or invalid
-    feature.
+    """Convert one feature of a request to LeRobot's format.
 
-    An image (h, w, 3) of bytes becomes (3, h, w) of floats from 0 to 1.
+    A uint8 image of shape (h, w, 3) is converted to floats from 0 to 1 with shape (3, h, w).
+
+    Raises:
+        ValueError: If the feature is missing or invalid; the message contains its name.
     """
     value = question.get(name)
     if not isinstance(value, np.ndarray):
         there = ", ".join(key for key in question if isinstance(key, str))
-        raise ValueError(f"the checkpoint needs `{name}`, but the query has {there}")
+        raise ValueError(f"the checkpoint needs `{name}`, but the request contains {there}")
     if value.dtype == np.uint8 and value.ndim == 3 and len(shape) == 3:
         value = np.moveaxis(value, -1, 0).astype(np.float32) / 255
     if list(value.shape) != shape:
@@ -77,14 +81,14 @@ def feature(question: Mapping[str, Any], name: str, shape: list[int]) -> np.ndar
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Serve a checkpoint until stopped."""
+    """Serve a checkpoint until the process is stopped."""
     parser = argparse.ArgumentParser(prog="python -m simfoundry.evaluate.policies.lerobot", description=__doc__)
-    parser.add_argument("checkpoint", help="a folder with config.json and weights, or a name on the Hub")
+    parser.add_argument("checkpoint", help="folder that contains config.json and weights, or a repository on the Hub")
     parser.add_argument(
         "--host", default="127.0.0.1", help="network address to bind; 0.0.0.0 accepts connections from every network"
     )
     parser.add_argument("--port", type=int, default=8000)
-    parser.add_argument("--device", help="cuda or cpu; default: the best available")
+    parser.add_argument("--device", help="cuda or cpu; defaults to cuda if it is available")
     chosen = parser.parse_args(arguments)
     try:
         infer, metadata = load_checkpoint(chosen.checkpoint, chosen.device)
@@ -93,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"{chosen.host}:{chosen.port} cannot be served: {error.strerror or error}", file=sys.stderr)
+        print(f"could not listen on {chosen.host}:{chosen.port}: {error.strerror or error}", file=sys.stderr)
         return 2
     for name, shape in metadata["takes"].items():
         print(f"takes {name} {shape}")

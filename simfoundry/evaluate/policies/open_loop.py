@@ -1,4 +1,4 @@
-"""Open-loop policies: a random walk as a baseline, and the replay of a recorded rollout."""
+"""Open-loop policies: a random walk that serves as a baseline, and the replay of a recorded rollout."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from simfoundry.evaluate.policies.base import (
 from simfoundry.geometry.frames import Array
 
 STEP = 0.1
-"""Maximum joint motion per step in either direction [rad or m]: 1.5 rad/s at 15 Hz."""
+"""Maximum joint motion per control step in either direction [rad or m]; equals 1.5 rad/s at 15 Hz."""
 HORIZON = 8
-"""Number of actions per query, as for the paper's policies."""
+"""Number of actions per request, the same as for the policies in the paper."""
 
 
 class RandomPolicy(Policy):
-    """A random walk of the joints from their present positions, with steps up to ``STEP``; the gripper toggles
-    occasionally.
+    """A random walk of the joints from their current positions, with steps of up to :data:`STEP`.
+
+    For each request, the gripper is set to open or closed at random.
     """
 
     name = "random"
@@ -38,11 +39,11 @@ class RandomPolicy(Policy):
         self._rng = np.random.default_rng(0)
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout; equal seeds give equal walks."""
+        """Start a rollout; equal seeds produce equal walks."""
         self._rng = np.random.default_rng(seed)
 
     def infer(self, observation: Observation) -> Array:
-        """Return joint positions, shape (HORIZON, numbers of an action)."""
+        """Return joint positions, shape (HORIZON, action size)."""
         columns: list[Array] = []
         for robot in observation.robots.values():
             steps = self._rng.uniform(-STEP, STEP, (HORIZON, len(robot.joints)))
@@ -56,22 +57,25 @@ LARGEST = 256 * 2**20
 
 
 class ReplayPolicy(Policy):
-    """Recorded actions in order, after which the last one is held. Every rollout starts with the first."""
+    """A policy that replays recorded actions in order and then holds the last one.
+
+    Every rollout starts with the first action.
+    """
 
     def __init__(self, actions: Array, action_space: ActionSpace = ActionSpace.JOINT_POSITION, name: str = "replay"):
         self.name, self.action_space = name, action_space
         self._actions, self._played = actions, False
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start over with the first action."""
+        """Restart the replay from the first action."""
         self._played = False
 
     def infer(self, observation: Observation) -> Array:
-        """Return all actions at once, then the last one repeatedly, shape (steps, numbers of an action)."""
+        """Return all actions on the first call and the last action on every later call, shape (steps, action size)."""
         width = action_size(observation.robots)
         if self._actions.shape[1] != width:
             recorded = self._actions.shape[1]
-            raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots take {width}")
+            raise InvalidAnswerError(f"{self.name} has {recorded} numbers per action, but the robots need {width}")
         chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
         if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
             at = 0
@@ -83,10 +87,10 @@ class ReplayPolicy(Policy):
 
 
 def load_replay(path: Path) -> ReplayPolicy:
-    """Load the policy of a recording; raises :class:`PolicyError`.
+    """Load a recording as a policy; raises :class:`PolicyError` if the file is invalid.
 
-    ``.npy`` holds the actions alone, shape (steps, numbers of an action); ``.npz`` and ``.json`` have them as
-    ``actions``, with an optional ``action_space``; the default is joint positions.
+    A ``.npy`` file contains only the actions, shape (steps, action size). ``.npz`` and ``.json`` files store them under
+    ``actions``, optionally with an ``action_space``, which defaults to joint positions.
     """
     try:
         if path.stat().st_size > LARGEST:
@@ -94,18 +98,18 @@ def load_replay(path: Path) -> ReplayPolicy:
         actions, space = _read(path)
     except (OSError, ValueError, KeyError, EOFError, RecursionError, MemoryError, zipfile.BadZipFile) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise PolicyError(f"{path} does not hold recorded actions: {why}") from None
+        raise PolicyError(f"{path} does not contain recorded actions: {why}") from None
     if actions.ndim != 2 or not actions.size:
-        raise PolicyError(f"{path} holds an array of shape {actions.shape}, not actions of (steps, numbers)")
+        raise PolicyError(f"{path} contains an array of shape {actions.shape}, but actions have shape (steps, numbers)")
     if not np.isfinite(actions).all():
-        raise PolicyError(f"{path} holds actions that are not finite numbers")
+        raise PolicyError(f"{path} contains actions that are not finite numbers")
     if space not in tuple(ActionSpace):
-        raise PolicyError(f"{path} has actions of `{space}`; known are {', '.join(ActionSpace)}")
+        raise PolicyError(f"{path} has the unknown action space `{space}`; available: {', '.join(ActionSpace)}")
     return ReplayPolicy(actions, ActionSpace(space), f"replay:{path.name}")
 
 
 def _read(path: Path) -> tuple[Array, str]:
-    """Read actions and their action space; raises various exceptions if the file is not a recording."""
+    """Read the actions and their action space; raises various exceptions if the file is not a recording."""
     default = str(ActionSpace.JOINT_POSITION)
     match path.suffix.lower():
         case ".npy":
@@ -115,7 +119,7 @@ def _read(path: Path) -> tuple[Array, str]:
             with zipfile.ZipFile(path) as files:
                 total = math.fsum(file.file_size for file in files.infolist())
             if total > LARGEST:
-                raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
+                raise ValueError(f"its uncompressed size exceeds {LARGEST // 2**20} MiB")
             with np.load(path, allow_pickle=False) as stored:
                 space = str(stored["action_space"]) if "action_space" in stored else default
                 return _numbers(stored["actions"]), space
@@ -129,5 +133,5 @@ def _read(path: Path) -> tuple[Array, str]:
 
 def _numbers(array: np.ndarray[Any, Any]) -> Array:
     if array.dtype.kind not in "fiu":
-        raise ValueError(f"an array of `{array.dtype}`")
+        raise ValueError(f"it is an array of `{array.dtype}`")
     return np.array(array, dtype=np.float64)

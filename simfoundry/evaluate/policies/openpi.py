@@ -1,8 +1,8 @@
-"""Policies of openpi (``openpi_client.websocket_client_policy``, 0.1.2), and of RoboArena and DreamZero.
+"""Clients for openpi (``openpi_client.websocket_client_policy``, 0.1.2) and for RoboArena and DreamZero policies.
 
-RoboArena and DreamZero use openpi's messages with an ``endpoint`` and a server-side rollout state. Their server first
-sends its configuration (``PolicyServerConfig`` of ``roboarena/policy_server.py``), which is checked against the
-policy's document. Note that they number cameras from 0, openpi from 1.
+RoboArena and DreamZero extend openpi's messages with an ``endpoint`` and keep rollout state on the server. Their server
+first sends its configuration (``PolicyServerConfig`` in ``roboarena/policy_server.py``), which is checked against the
+policy document. Note that they number cameras from 0, whereas openpi numbers them from 1.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
-"""State keys of DROID's policies."""
+"""Keys of the robot state in DROID policies."""
 
 
 class OpenpiPolicy(RemotePolicy):
     """A client of openpi's ``WebsocketPolicyServer``.
 
-    Queries are independent, so after a lost connection the client reconnects and repeats the query. ``state_keys`` are
-    the keys of the robot's state unless its document states them.
+    Requests are independent of each other, so if the connection is lost, the client reconnects and repeats the request.
+    ``state_keys`` maps the keys of the robot state to readings, and is used unless the policy document specifies them.
     """
 
     state_keys: Mapping[str, str] = DROID_STATE
@@ -35,15 +35,15 @@ class OpenpiPolicy(RemotePolicy):
         self._connection = Connection(spec, self.record)
 
     def begin(self) -> None:
-        """Connect; the protocol has no message for the start of a rollout."""
+        """Connect to the server; the protocol does not announce the start of a rollout."""
         self._connection.begin()
 
     def ask(self, observation: Observation) -> object:
-        """Return the ``actions`` of the answer."""
+        """Return the ``actions`` in the response."""
         answer = self._connection.ask(self._message(observation))
         if not isinstance(answer, dict) or "actions" not in answer:
             keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
-            message = f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}"
+            message = f"the response from {self._connection.uri} does not contain `actions`: {keys[:200]}"
             raise self._connection.fail(message, InvalidAnswerError)
         return answer["actions"]
 
@@ -52,7 +52,7 @@ class OpenpiPolicy(RemotePolicy):
         return {**seen, **told, "prompt": self._instruction}
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._connection.close()
 
 
@@ -71,15 +71,15 @@ OPENPI = PolicyProtocol(
 
 
 RESET_DONE = "reset successful"
-"""Text by which a server confirms that it has reset its rollout state."""
+"""The text with which a server confirms that it has reset its rollout state."""
 
 
 class RoboarenaPolicy(OpenpiPolicy):
-    """A client of RoboArena's ``WebsocketPolicyServer``, also used by DreamZero.
+    """A client of RoboArena's ``WebsocketPolicyServer``, which DreamZero also uses.
 
-    The server keeps a state during a rollout, so a rollout whose connection is lost has no result and counts as
-    missing; the next one connects again. ``new_session`` creates a name for each rollout: the server resets its state
-    for each new name.
+    The server keeps state during a rollout, so a rollout whose connection is lost has no result and counts as missing;
+    the next rollout reconnects. ``new_session`` generates a unique session ID for each rollout; the server resets its
+    state whenever the ID changes.
     """
 
     state_keys = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
@@ -89,7 +89,7 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._new_session, self._session = new_session, ""
 
     def begin(self) -> None:
-        """Connect, check the server's configuration against the document, and reset the server's rollout state."""
+        """Connect, check the server's configuration against the document, and reset the rollout state of the server."""
         self._connection.begin()
         wrong = next(disagreements(self.spec, self._connection.greeting), None)
         if wrong is not None:
@@ -100,20 +100,20 @@ class RoboarenaPolicy(OpenpiPolicy):
         self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
 
     def ask(self, observation: Observation) -> object:
-        """Return the answer, or its ``actions`` entry: servers use either form."""
+        """Return the response, or its ``actions`` entry if it has one; servers use both forms."""
         about = {"session_id": self._session, "endpoint": "infer"}
         answer = self._connection.ask(self._message(observation) | about, again=False)
         return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
 
 
 def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a sentence for each difference between the server's configuration and the document."""
+    """Yield a sentence for each mismatch between the server's configuration and the document."""
     space = wishes.get("action_space")
     if isinstance(space, str) and space != spec.action_space:
-        yield f"it acts by `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
+        yield f"its action space is `{space[:40]}`, but the document says `action_space: {spec.action_space}`"
     for key in _wanted_cameras(wishes):
         if key not in spec.cameras:
-            yield f"it needs the image `{key}`, which is missing in `cameras`"
+            yield f"it needs the image `{key}`, which is missing from `cameras`"
     wanted = wishes.get("image_resolution")
     if isinstance(wanted, list | tuple) and len(wanted) == 2:
         for key, view in spec.cameras.items():

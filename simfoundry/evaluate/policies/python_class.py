@@ -1,4 +1,4 @@
-"""User-defined policies in this process: a Python class, selected by its module or file."""
+"""User-defined policies that run in this process: Python classes, selected by their module or file."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from simfoundry.geometry.frames import Array
 
 @dataclass(frozen=True)
 class PythonClass:
-    """A policy class: ``module`` is a dotted name or a path to a ``.py`` file.
+    """A policy class, selected by its module and name.
 
-    ``arguments`` are those of its constructor, by name.
+    ``module`` is a dotted module name or the path to a ``.py`` file, and ``arguments`` are the constructor's keyword
+    arguments.
     """
 
     module: str
@@ -32,29 +33,29 @@ class PythonClass:
 
     @property
     def digest(self) -> str:
-        """Return a digest of the class's source file and arguments; other files that it reads are not included."""
+        """A digest of the class's source file and arguments; other files that the class reads are not included."""
         source = _source(self.module)
         return hashlib.sha256(repr(self).encode() + (source.read_bytes() if source else b"")).hexdigest()[:16]
 
     def find(self) -> Callable[..., Any]:
-        """Import the class, or another callable that creates a policy; raises :class:`PolicyError`."""
+        """Import the class, or another callable that creates a policy; raises :class:`PolicyError` on failure."""
         module = _module(self.module)
         made = getattr(module, self.name, None)
         if made is None:
             here = [n for n, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__]
-            raise PolicyError(f"{self.module} has no `{self.name}`; its classes are: {', '.join(here) or 'none'}")
+            raise PolicyError(f"{self.module} has no `{self.name}`; available classes: {', '.join(here) or 'none'}")
         if not callable(made):
-            raise PolicyError(f"`{self.name}` of {self.module} is a `{type(made).__name__}`, not a class")
+            raise PolicyError(f"`{self.name}` in {self.module} is a `{type(made).__name__}`, not a class")
         factory: Callable[..., Any] = made
         return factory
 
 
 class PythonPolicy:
-    """A :class:`~simfoundry.evaluate.policies.base.Policy` that wraps an object of a user's class.
+    """A :class:`~simfoundry.evaluate.policies.base.Policy` that wraps an instance of a user-defined class.
 
-    The object needs ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction, seed)``
-    and ``close()`` are optional. Any exception while it acts is an invalid answer. Its printed output goes to standard
-    error, because standard output is the command's.
+    The instance must provide ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction,
+    seed)`` and ``close()`` are optional. Any exception it raises while acting counts as an invalid response. Anything
+    it prints goes to standard error, because standard output is reserved for the command.
     """
 
     def __init__(self, choice: PythonClass) -> None:
@@ -64,11 +65,11 @@ class PythonPolicy:
             with redirect_stdout(sys.stderr):
                 self._policy = made(**dict(choice.arguments))
         except (Exception, SystemExit) as error:
-            raise PolicyError(f"`{choice.name}` of {choice.module} cannot be created: {_told(error)}") from None
+            raise PolicyError(f"could not create `{choice.name}` from {choice.module}: {_told(error)}") from None
         self._reset: Callable[[str, int], None] | None = getattr(self._policy, "reset", None)
         self._infer: Callable[[Observation], Array] | None = getattr(self._policy, "infer", None)
         if not callable(self._infer):
-            raise PolicyError(f"`{choice.name}` of {choice.module} has no method `infer(observation)`")
+            raise PolicyError(f"`{choice.name}` in {choice.module} has no method `infer(observation)`")
         self.action_space = self._space(getattr(self._policy, "action_space", None))
         self.cameras = self._sizes(getattr(self._policy, "cameras", None))
 
@@ -85,7 +86,7 @@ class PythonPolicy:
                 for name, size in dict(cameras or {}).items()  # type: ignore[call-overload]
             }
         except (TypeError, ValueError):
-            message = f"`cameras` of `{self.name}` must map cameras onto (width, height), not be {cameras!r}"
+            message = f"`cameras` of `{self.name}` must map camera names to (width, height), but is {cameras!r}"
             raise PolicyError(message) from None
         return MappingProxyType(sizes)
 
@@ -96,20 +97,20 @@ class PythonPolicy:
                 self._reset(instruction, seed)
 
     def infer(self, observation: Observation) -> Array:
-        """Return the answer of the class."""
+        """Return the response from the user-defined class."""
         assert self._infer is not None
         with self._answering():
             return self._infer(observation)
 
     def close(self) -> None:
-        """Close the object; its exceptions are only printed, because the results are already complete."""
+        """Close the instance; exceptions are only printed, because the results are already complete."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             try:
                 with redirect_stdout(sys.stderr):
                     close()
             except (Exception, SystemExit) as error:
-                print(f"{self.name} did not close: {_told(error)}", file=sys.stderr)
+                print(f"could not close {self.name}: {_told(error)}", file=sys.stderr)
 
     @contextmanager
     def _answering(self) -> Iterator[None]:
@@ -126,14 +127,16 @@ def _module(module: str) -> ModuleType:
     source = _source(module)
     if source is None:
         where = (
-            f"there is no file {module}" if _is_file(module) else f"there is no module `{module}`, here or installed"
+            f"file {module} does not exist"
+            if _is_file(module)
+            else f"module `{module}` was found neither in the current folder nor among installed packages"
         )
-        raise PolicyError(f"{where}; a policy of your own is `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
+        raise PolicyError(f"{where}; specify your own policy as `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
     try:
         with redirect_stdout(sys.stderr):
             if not _is_file(module):
                 return importlib.import_module(module)
-            # A unique name: a file named `torch.py` must not replace the package that it imports.
+            # Use a unique name, so that a file named `torch.py` does not replace the package that it imports.
             name = f"policy_{hashlib.sha256(str(source).encode()).hexdigest()[:8]}_{source.stem}"
             spec = importlib.util.spec_from_file_location(name, source)
             assert spec is not None and spec.loader is not None
@@ -141,13 +144,13 @@ def _module(module: str) -> ModuleType:
             spec.loader.exec_module(made)
             return made
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"{source} cannot be imported: {_told(error)}") from None
+        raise PolicyError(f"could not import {source}: {_told(error)}") from None
 
 
 def _source(module: str) -> Path | None:
-    """Return the file of a module, or None; its folder is added to the import path.
+    """Return the file of a module, or None if it is not found; its folder is added to the import path.
 
-    Installed packages take precedence, so that a local file never shadows a package.
+    Installed packages take precedence, so a local file never shadows a package.
     """
     if _is_file(module):
         file = Path(module).resolve()
@@ -171,7 +174,7 @@ def _searched(folder: Path) -> None:
 
 
 def _told(error: BaseException) -> str:
-    """Format an exception of user code as one line, with its source location."""
+    """Format an exception from user code as one line that includes its source location."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     words = " ".join(str(error).split())[:300]

@@ -1,4 +1,4 @@
-"""Policies behind servers: their observations, the validation of their answers, and statistics of the exchange."""
+"""Shared parts of policies behind servers: their observations, response validation, and request statistics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from simfoundry.spec.models.policy import GripperConvention, PolicySpec, address
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
-    """Import an optional module; raises :class:`PolicyError` with the install command if it is missing."""
+    """Import an optional module; if it is missing, raise :class:`PolicyError` with the install command."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -41,14 +41,14 @@ def needed(module: str, what: str, install: str = f"install with `{install_line(
 
 
 KEPT = 100
-"""Maximum number of error messages kept; further ones are only counted, to keep reports short."""
+"""Maximum number of error messages to keep; any others are only counted, so that reports stay short."""
 
 
 @dataclass
 class PolicyRecord:
-    """Counts, times and errors of the queries to a policy, accumulated over rollouts.
+    """The counts, response times and errors of requests to a policy, accumulated over rollouts.
 
-    ``seconds`` are the times [s] from each query to its answer, including reconnections and repeated queries.
+    ``seconds`` contains the time from each request to its response [s], including reconnections and repeated requests.
     """
 
     questions: int = 0
@@ -65,7 +65,7 @@ class PolicyRecord:
             self.errors.append(sentence)
 
     def to_json(self) -> Mapping[str, Any]:
-        """Return numbers and messages for a report; times as median and maximum [s]."""
+        """Return counts and messages for a report, with the median and maximum response times [s]."""
         ordered = sorted(self.seconds)
         counts = {key: value for key, value in asdict(self).items() if key != "seconds"}
         return counts | {
@@ -75,9 +75,9 @@ class PolicyRecord:
 
 
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
-    """Return the scene's cameras that a policy uses, with the size at which each is rendered.
+    """Return the cameras in the scene that a policy uses, with the size at which each is rendered.
 
-    If two keys show one camera in two sizes, the larger is rendered.
+    If two keys refer to the same camera with different sizes, the larger size is rendered.
     """
     found: dict[str, ImageSize] = {}
     for view in spec.cameras.values():
@@ -89,20 +89,20 @@ def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
 
 
 def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
-    """Return each image under the policy's key; raises :class:`PolicyError` if a camera's image is missing."""
+    """Return each image under the policy's key; raises :class:`PolicyError` if the image of a camera is missing."""
     found: dict[str, Image] = {}
     for key, view in spec.cameras.items():
         image = observation.images.get(view.camera)
         if image is None:
             known = ", ".join(f"`{name}`" for name in observation.images) or "none"
-            message = f"there is no image of the camera `{view.camera}`, which {spec.name} needs as `{key}`"
-            raise PolicyError(f"{message}; there are: {known}")
+            message = f"{spec.name} needs an image from camera `{view.camera}` as `{key}`, but it was not rendered"
+            raise PolicyError(f"{message}; available images: {known}")
         found[key] = resize_with_pad(image, ImageSize(*view.size))
     return found
 
 
 def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
-    """Return one sensor quantity of all robots in order as an array; see ``state`` of a policy document."""
+    """Return one sensor quantity for all robots in order as an array; see ``state`` in policy documents."""
     rows: list[Any] = [np.zeros(0)]
     for robot in robots.values():
         closed = gripper.open + (gripper.closed - gripper.open) * robot.gripper
@@ -117,27 +117,41 @@ def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConve
 
 
 def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation) -> dict[str, Any]:
-    """Return the robots' state under the policy's keys, float32 as in DROID's recordings."""
+    """Return the robots' state under the policy's keys, as float32 like in DROID's recordings."""
     wanted = default if spec.state is None else spec.state
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
 
 
 DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
-"""Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by the short form of a policy."""
+"""Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by servers in short form."""
 
 
 def droid_cameras(
     keys: Mapping[str, str], size: tuple[int, int], render: tuple[int, int]
 ) -> dict[str, dict[str, object]]:
-    """Return the camera views used by DROID's policies; ``keys`` are their names in a protocol."""
+    """Return the camera views that DROID's policies use.
+
+    Args:
+        keys: The role of the camera for each key in the protocol.
+        size: The width and height of the image that is sent [px].
+        render: The width and height at which the camera is rendered [px].
+    """
     return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in keys.items()}
 
 
 def resize_with_pad(image: Image, size: ImageSize) -> Image:
-    """Fit an image, shape (h, w, 3), into ``size``, centered on black, shape (size.height, size.width, 3).
+    """Resize an image to fit into ``size`` and center it on black.
 
-    Bilinear with Pillow's filter, which averages when it shrinks; sides are rounded down. Gives the same pixels as
-    ``openpi_client.image_tools.resize_with_pad``, on which the policies were trained.
+    The filter is Pillow's bilinear filter, which averages pixels when it shrinks an image; side lengths are rounded
+    down. The result matches ``openpi_client.image_tools.resize_with_pad``, which was used to train the policies, pixel
+    for pixel.
+
+    Args:
+        image: The image, shape (h, w, 3).
+        size: The size of the result.
+
+    Returns:
+        The resized image, shape (size.height, size.width, 3).
     """
     height, width = image.shape[:2]
     if (height, width) == (size.height, size.width):
@@ -154,19 +168,21 @@ def resize_with_pad(image: Image, size: ImageSize) -> Image:
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
-    """Return the first ``horizon`` actions of an answer, which is untrusted, shape (horizon, numbers of an action).
+    """Validate a response, which is untrusted, and return its first ``horizon`` actions, shape (horizon, action size).
 
-    Joints are in rad, m, rad/s or m/s; grippers from 0 open to 1 closed. Raises :class:`InvalidAnswerError` if the
-    answer is not such an array.
+    Joint values are in rad, m, rad/s or m/s, and gripper values range from 0 (open) to 1 (closed).
+
+    Raises:
+        InvalidAnswerError: If the response is not an array of at least that many actions.
     """
     if not isinstance(answer, np.ndarray):
-        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+        raise InvalidAnswerError(f"{spec.name} returned a `{type(answer).__name__}` instead of an array of actions")
     if answer.dtype.kind not in "fiu":
-        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+        raise InvalidAnswerError(f"{spec.name} returned an array of `{answer.dtype}`, not of numbers")
     out = checked_actions(answer, robots, f"the actions of {spec.name}")[: spec.horizon]
     if len(out) < spec.horizon:
-        message = f"{spec.name} answered with {len(out)} actions, but its `horizon` is {spec.horizon}"
-        raise InvalidAnswerError(f"{message}; lower it to {len(out)}")
+        message = f"{spec.name} returned {len(out)} actions, but its `horizon` is {spec.horizon}"
+        raise InvalidAnswerError(f"{message}; lower `horizon` to {len(out)}")
     at = 0
     for robot in robots.values():
         joints = slice(at, at + len(robot.joints))
@@ -178,68 +194,68 @@ def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]
 
 
 def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
-    """Convert the policy's gripper numbers to 0 open to 1 closed, shape (n,)."""
+    """Convert gripper values in the policy's convention to the range from 0 (open) to 1 (closed), shape (n,)."""
     convention = spec.gripper
     closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
     return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
 
 
 class ServerConnection(ABC):
-    """A connection to a policy server, with the parts that all protocols share."""
+    """A connection to a policy server; this base class contains the parts that all protocols share."""
 
     codec: ClassVar[Codec]
 
     def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
         self.spec, self.record = spec, record
         self.uri = address_uri(spec.protocol, spec.address)
-        self.answered = False  # true once a query is answered, because the server has warmed up then
+        self.answered = False  # true once the server has responded to a request and has therefore warmed up
 
     @abstractmethod
     def begin(self) -> None:
-        """Start a rollout, connecting if necessary; raises :class:`PolicyError`."""
+        """Start a rollout, connecting if necessary; raises :class:`PolicyError` on failure."""
 
     @abstractmethod
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
 
     @property
     def patience(self) -> float:
-        """Timeout of the next answer [s]."""
+        """The timeout for the next response [s]."""
         return self.spec.timeout if self.answered else self.spec.warm_up
 
     def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
-        """Return an error to raise, after adding it to the record."""
+        """Add an error to the record and return it, so that the caller can raise it."""
         self.record.failed(message)
         return kind(message)
 
     def silent(self, patience: float) -> PolicyError:
-        """Return the error of a server that did not answer within ``patience`` [s]."""
+        """Return the error for a server that did not respond within ``patience`` [s]."""
         waits = "`timeout`" if self.answered else "`warm_up`"
-        return self.fail(f"{self.uri} did not answer within {patience:g} s; raise {waits} if it needs more")
+        return self.fail(f"{self.uri} did not respond within {patience:g} s; increase {waits} if it needs more time")
 
     @property
     def retried(self) -> str:
-        """End of a message about a server that was tried again, empty without retries."""
+        """A phrase that states the number of reconnection attempts; empty if none are allowed."""
         return f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
 
     def packed(self, message: Mapping[str, Any]) -> bytes:
-        """Serialize a query."""
+        """Serialize a request."""
         needed("msgpack", f"the protocol of {self.spec.protocol}")
         try:
             return self.codec.pack(message)
         except CodecError as error:
-            raise self.fail(f"{self.spec.name} cannot be queried: {error}") from None
+            raise self.fail(f"could not send a request to {self.spec.name}: {error}") from None
 
     def unpacked(self, data: bytes) -> Any:
-        """Parse an answer, which is untrusted."""
+        """Parse a response, which is untrusted."""
         try:
             return self.codec.unpack(data)
         except CodecError as error:
-            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
+            raise self.fail(f"could not parse the response from {self.uri}: {error}", InvalidAnswerError) from None
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Count a query, and measure the time until its answer."""
+        """Count a request and measure the time until its response."""
         start = time.monotonic()
         self.record.questions += 1
         try:
@@ -248,31 +264,36 @@ class ServerConnection(ABC):
             self.record.seconds.append(time.monotonic() - start)
 
     def secret(self) -> str | None:
-        """Return the key of the server, read from the environment, or None if it needs none."""
+        """Return the server's API key, read from an environment variable, or None if the document does not name one."""
         spec = self.spec
         if spec.api_key is None:
             return None
         key = os.environ.get(spec.api_key, "").strip()
         if not key:
-            raise PolicyError(f"{spec.name} takes the key of its server from {spec.api_key}, which is not set")
+            raise PolicyError(
+                f"{spec.name} reads the API key of its server from the environment variable {spec.api_key}, "
+                "which is not set"
+            )
         if not key.isascii() or not key.isprintable():
             raise PolicyError(
-                f"the value of {spec.api_key} is not a valid key: it has characters that are not allowed in a header"
+                f"the value of {spec.api_key} is not a valid key: it contains characters that are not allowed in a "
+                "header"
             )
         return key
 
 
 def last_line(text: str, most: int = 300) -> str:
-    """Return the end of a traceback as one printable line."""
+    """Return the last line of a traceback, limited to ``most`` printable characters."""
     lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
-    line = lines[-1] if lines else "it gives no reason"
+    line = lines[-1] if lines else "no reason was given"
     return "".join(c if c.isprintable() else "?" for c in line[:most])
 
 
 class RemotePolicy(Policy, ABC):
-    """A policy behind a server, configured by its document; ``record`` has the statistics of their exchange.
+    """A policy behind a server, configured by its document; ``record`` contains statistics of its requests.
 
-    Subclasses implement the protocol: ``begin`` before a rollout, ``ask`` for an answer, and ``close``.
+    Subclasses implement the protocol: ``begin`` is called before each rollout, ``ask`` sends a request, and ``close``
+    closes the connection.
     """
 
     def __init__(self, spec: PolicySpec) -> None:
@@ -283,15 +304,17 @@ class RemotePolicy(Policy, ABC):
         self._instruction = ""
 
     def reset(self, instruction: str, seed: int) -> None:
-        """Start a rollout, connecting if necessary. Randomness in the policy is up to the server."""
+        """Start a rollout, connecting if necessary; the server controls any randomness in the policy."""
         self._instruction = instruction
         try:
             self.begin()
-        except InvalidAnswerError as error:  # no action was requested yet, so the rollout has not failed by an answer
+        except (
+            InvalidAnswerError
+        ) as error:  # no action has been requested yet, so the rollout counts as missing, not as failed
             raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:
-        """Return the number of actions stated by its document, shape (horizon, numbers of an action)."""
+        """Return as many actions as the document's ``horizon`` specifies, shape (horizon, action size)."""
         answer = self.ask(observation)
         try:
             return actions_of(self.spec, answer, observation.robots)
@@ -305,8 +328,8 @@ class RemotePolicy(Policy, ABC):
 
     @abstractmethod
     def ask(self, observation: Observation) -> object:
-        """Return the server's answer, which should be an array of actions, shape (steps, numbers of an action)."""
+        """Return the server's response, which should be an array of actions, shape (steps, action size)."""
 
     @abstractmethod
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""

@@ -1,4 +1,4 @@
-"""Serve a user's policy over openpi's protocol, the same interface as that of other policies."""
+"""Serve a user-defined policy over openpi's protocol, so that it can be used like any other policy server."""
 
 from __future__ import annotations
 
@@ -16,18 +16,24 @@ if TYPE_CHECKING:
     from websockets.sync.server import Server, ServerConnection
 
 LARGEST = 256 * 2**20
-"""Maximum size of a query [bytes]."""
+"""Maximum size of a request [bytes]."""
 
 Infer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""Function from an observation to an answer with ``actions``, shape (steps, numbers of an action)."""
+"""Function that maps an observation to a response with ``actions``, shape (steps, action size)."""
 
 
 def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000) -> Server:
-    """Create a server that runs once its ``serve_forever`` is called; port 0 selects a free one (``server.socket``).
+    """Create a server that runs once its ``serve_forever`` is called.
 
-    The server sends ``metadata`` first. If ``infer`` raises, the client gets the traceback as text and the connection
-    is closed, as by openpi's server; the next connection works normally. Queries are answered one at a time. ``GET
-    /healthz`` returns OK.
+    The server sends ``metadata`` when a client connects. If ``infer`` raises an exception, the client receives the
+    traceback as text and the connection is closed, as with openpi's server; later connections are not affected.
+    Requests are answered one at a time. ``GET /healthz`` returns OK.
+
+    Args:
+        infer: The function that computes the response to a request.
+        metadata: The first message sent to each client.
+        host: The network address to listen on.
+        port: The port to listen on; 0 selects a free port, which ``server.socket`` provides.
     """
     server = needed("websockets.sync.server", "serving a policy")
     needed("msgpack", "serving a policy")
@@ -38,7 +44,7 @@ def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", po
         for data in connection:
             try:
                 if isinstance(data, str):
-                    raise ValueError("a query must be a binary message, not a text")
+                    raise ValueError("a request must be a binary message, not text")
                 with one_at_a_time:
                     answer = OPENPI_CODEC.pack(dict(infer(OPENPI_CODEC.unpack(data))))
             except Exception:  # report any error to the client

@@ -1,8 +1,9 @@
-"""A connection to a policy server over a websocket, with the protocol of openpi and RoboArena.
+"""A websocket connection to a policy server that uses the protocol of openpi and RoboArena.
 
-One binary message in each direction, without compression, so that no answer unpacks to more than its size; the server
-sends the first message. A text message is an error: the server's traceback, after which it closes the connection
-(``websocket_policy_server.py`` of both).
+The server sends the first message; after that, each exchange consists of one binary request and one binary response.
+Messages are not compressed, so a response cannot expand beyond the size that was received. A text message is an error:
+it contains the server's traceback, after which the server closes the connection (see ``websocket_policy_server.py`` in
+both projects).
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
 LARGEST = 16 * 2**20
-"""Maximum size of an answer [bytes]; a chunk of actions has a few thousand."""
+"""Maximum size of a response [bytes]; a chunk of actions takes only a few thousand."""
 PING_S, PONG_S = 60.0, 600.0
-"""Interval and timeout of keep-alive pings [s]: a server that compiles its model answers none for minutes, and the
-default timeout of websockets would close the connection.
+"""Interval and timeout of keep-alive pings [s]. A server that is compiling its model does not respond to pings for
+minutes, and the default timeout of websockets would close the connection.
 """
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Initial and maximum delay between two attempts to connect [s]; the delay doubles each time."""
+"""Initial and maximum delay between two connection attempts [s]; the delay doubles after each attempt."""
 
 
 class LostError(Exception):
-    """Loss of the connection; a new connection may succeed."""
+    """An error raised if the connection is lost; reconnecting may succeed."""
 
 
 class Connection(ServerConnection):
-    """A connection that is opened on demand, and reopened at most ``spec.retries`` times per rollout."""
+    """A connection that is opened on demand and reopened at most ``spec.retries`` times per rollout."""
 
     codec = OPENPI_CODEC
 
@@ -48,15 +49,21 @@ class Connection(ServerConnection):
         self._left = spec.retries
 
     def begin(self) -> None:
-        """Start a rollout with its full number of retries; connect if necessary."""
+        """Start a rollout: reset the number of retries, and connect if necessary."""
         self._left = self.spec.retries
         self._again(self._connect)
 
     def ask(self, message: Mapping[str, Any], *, again: bool = True, expect_text: str | None = None) -> Any:
-        """Return the answer to a message; raises :class:`PolicyError`.
+        """Return the response to a message.
 
-        If the connection is lost, the query is repeated if ``again`` is true; otherwise the server's rollout state is
-        lost too, and the rollout is missing. ``expect_text`` is the only text that is not an error.
+        Args:
+            message: The request.
+            again: Whether to repeat the request if the connection is lost. Otherwise the rollout is missing, because
+                the server has lost its rollout state.
+            expect_text: The only text message that is not treated as an error.
+
+        Raises:
+            PolicyError: If there is no valid response.
         """
         data = self.packed(message)
 
@@ -71,16 +78,16 @@ class Connection(ServerConnection):
                 return once()
             except LostError as lost:
                 self.close()
-                raise self.fail(f"{lost}, and with it the server's state of this rollout") from None
+                raise self.fail(f"{lost}, so the server's state for this rollout is lost") from None
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket = None
         with suppress(Exception):  # the peer may have disconnected in any way
             self._open.close()
 
     def _again(self, attempt: Any) -> Any:
-        """Retry until an attempt succeeds, at most as often as the rollout allows."""
+        """Call ``attempt`` until it succeeds, up to the number of retries left for the rollout."""
         pause = FIRST_PAUSE_S
         while True:
             try:
@@ -101,7 +108,7 @@ class Connection(ServerConnection):
         from websockets.exceptions import InvalidHandshake, InvalidURI
 
         key = self.secret()
-        is_here = urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")  # reached without a proxy
+        is_here = urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")  # local servers do not need a proxy
         try:
             self._socket = self._open.enter_context(client.connect(
                 self.uri, compression=None, max_size=LARGEST, ping_interval=PING_S, ping_timeout=PONG_S,
@@ -109,25 +116,27 @@ class Connection(ServerConnection):
                 additional_headers={"Authorization": f"Api-Key {key}"} if key else None,
             ))  # fmt: skip
         except InvalidURI:
-            raise self.fail(f"`{self.uri}` is not a valid websocket address") from None
+            raise self.fail(f"`{self.uri}` is not a valid websocket URL") from None
         except InvalidHandshake as error:
             raise self._refused(error) from None
         except (OSError, EOFError) as error:  # includes time-outs
-            raise LostError(f"no server answers at {self.uri} ({_reason(error)})") from None
+            raise LostError(f"could not reach a server at {self.uri} ({_reason(error)})") from None
         self.record.connections += 1
         self.answered = False
         greeting = self._received(None)
         if not isinstance(greeting, dict):
             self.close()
-            raise self.fail(f"the server at {self.uri} sent a `{type(greeting).__name__}` first, not a mapping")
+            raise self.fail(
+                f"the first message from the server at {self.uri} must be a mapping, not a `{type(greeting).__name__}`"
+            )
         self.greeting = greeting
 
     def _refused(self, error: Exception) -> PolicyError:
         status = getattr(getattr(error, "response", None), "status_code", None)
         if status in (401, 403):
             named = f"the key in {self.spec.api_key}" if self.spec.api_key else "a policy without `api_key`"
-            return self.fail(f"the server at {self.uri} refuses {named} ({status})")
-        what = f"it answered {status}" if status else type(error).__name__
+            return self.fail(f"the server at {self.uri} rejects {named} ({status})")
+        what = f"it responded with status {status}" if status else type(error).__name__
         return self.fail(f"the server at {self.uri} is not a policy server ({what})")
 
     def _ask(self, data: bytes, expect_text: str | None) -> Any:
@@ -145,8 +154,9 @@ class Connection(ServerConnection):
         return answer
 
     def _received(self, expect_text: str | None) -> Any:
-        """Receive one message; after an invalid one the connection is closed, because answers would no longer match
-        queries.
+        """Receive one message.
+
+        The connection is closed after an invalid message, because later responses would no longer match their requests.
         """
         from websockets.exceptions import ConnectionClosed
 
@@ -174,7 +184,7 @@ class Connection(ServerConnection):
     def _closed(self, closed: Any) -> Exception:
         if closed.sent is not None and closed.sent.code == 1009:  # closed by us: the message exceeded the size limit
             self.close()
-            return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB", InvalidAnswerError)
+            return self.fail(f"the response from {self.uri} exceeds {LARGEST // 2**20} MiB", InvalidAnswerError)
         code = closed.rcvd.code if closed.rcvd is not None else None
         return LostError(f"the server at {self.uri} closed the connection" + (f" ({code})" if code else ""))
 

@@ -1,1 +1,1 @@
-"""Starts of rollouts: reset grid, placement, settling, and their cache."""
+"""Initial states of rollouts: the reset grid, object placement, settling, and caching."""

@@ -1,6 +1,6 @@
-"""One attempt at a start: draw cells and positions, place objects, check for collisions, settle, and check again.
+"""A single attempt at an initial state: sample positions, place objects, check for collisions, settle, check again.
 
-Each object has a cell of its grid, drawn without replacement, and a random position within it.
+Each object is assigned a cell of its grid, drawn without replacement, and a random position within that cell.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from simfoundry.worlds.rest import is_ball, simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
 GridCell = tuple[int, int]
-"""A cell of a grid, by its indices along x and y from 0."""
+"""The indices of a grid cell along x and y, counted from 0."""
 
 
 def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
-    """Deal the cells of each object for a block of starts, one start per cell of the grid: a permutation of all cells.
+    """Assign a grid cell to each object in each initial state of a block.
 
-    The cells of one object do not depend on the other objects.
+    A block has one initial state per cell of the grid, so the cells of an object are a random permutation of all cells.
+    The cells of an object do not depend on the other objects.
     """
     along_x, along_y = reset.grid
     cells = [(i, j) for i in range(along_x) for j in range(along_y)]
@@ -34,14 +35,14 @@ def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
 
 
 def draws(name: str, seed: int, start: int) -> np.random.Generator:
-    """Return the generator of an object's positions in its cell for one start, used for successive tries."""
+    """Return the random generator for the positions of an object in one initial state, used by successive attempts."""
     return _generator(seed, name, start, 1)
 
 
 def sample(
     region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Sample a position x, y [m] in a cell and a rotation [deg] in its range, all uniform."""
+    """Sample a position x, y [m] within a cell and a rotation [deg] within its range, all uniformly."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
     share = rng.random(3)
     low_yaw, high_yaw = region.yaw_deg
@@ -50,7 +51,7 @@ def sample(
 
 
 def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ranges of x and y of a cell [m]."""
+    """Return the ranges of x and y that a cell covers [m]."""
     spans = []
     for (low, high), count, k in zip((region.x, region.y), grid, cell, strict=True):
         width = (high - low) / count
@@ -59,32 +60,42 @@ def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tu
 
 
 def _generator(seed: int, name: str, *more: int) -> np.random.Generator:
-    # A checksum of the name, because Python's own hash differs between processes.
+    # Use a checksum of the name, because Python's own hash differs between processes.
     return np.random.default_rng([seed, zlib.crc32(name.encode()), *more])
 
 
 SETTLING = SettleOptions(max_drift_m=0.01)
-"""Settling limits of a start: half the displacement allowed for scenes, tilt 5 deg, overlap 1 mm, same support."""
+"""Settling limits for initial states: half the displacement allowed for scenes, a tilt of 5 deg, an overlap of 1 mm,
+and an unchanged support.
+"""
 
 OVERLAP = 1e-3
-"""Maximum overlap [m] of an object with its support before settling, which settling removes within a few steps."""
+"""Maximum overlap [m] between an object and its support before settling; settling removes it within a few steps."""
 
 AGREES = 1e-4
-"""Maximum distance [m] of a settled object from its cell: rounding, but no sliding."""
+"""Maximum distance [m] between a settled object and its cell, which allows for rounding errors but not for sliding."""
 
 DIGITS = 5
-"""Decimals of settled positions [m] and quaternions, so that other versions of an engine settle to the same start."""
+"""Number of decimals to which settled positions [m] and quaternions are rounded, so that different engine versions
+settle to the same initial state.
+"""
 
 STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
-"""Rest criterion of a start: duration [s], and maximum motion [m] and rotation [deg] in it. A ball may turn."""
+"""The criterion for an initial state to be at rest: the duration [s], and the maximum translation [m] and rotation
+[deg] within it. Balls may rotate.
+"""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """The reason why an attempt failed: the ``object`` at fault, a ``kind`` for statistics, and ``why`` with numbers.
+    """The reason why an attempt failed.
 
-    ``other`` is the object that it collided with if that is placed too, else empty: only then can exchanging their
-    cells help, because each cell must be used in some start.
+    Attributes:
+        object: The object that caused the failure.
+        kind: The kind of failure, for statistics.
+        why: A description of the failure that includes numbers.
+        other: The object that it collided with if that object is also placed at random, otherwise an empty string.
+            Exchanging cells can only help in the first case, because each cell must be used in some initial state.
     """
 
     object: str
@@ -94,13 +105,13 @@ class Refusal:
 
 
 Spots = Mapping[str, tuple[float, float, float]]
-"""Placement of objects: x, y [m] and rotation about z [deg] relative to the scene's pose."""
+"""The placement of each object: x, y [m] and the rotation about z [deg] relative to the pose in the scene."""
 
 
 def placed(task: Task, spots: Spots) -> SceneState:
-    """Return the state with the objects at their spots, at the heights given by the scene, together with their riders.
+    """Return the state with the objects at their sampled positions, at the heights given by the scene.
 
-    An object that stands on or in one of them moves along with it; joints are as in the scene.
+    Objects that rest on or in one of them move along with it. Joints have their positions from the scene.
     """
     scene = task.scene
     poses = {item.name: item.X_WO for item in scene.objects}
@@ -116,7 +127,7 @@ def placed(task: Task, spots: Spots) -> SceneState:
 
 
 def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
-    """Return the nearest supporting object that is placed."""
+    """Return the closest object in the chain of supports that is placed at random, or None."""
     seen = {name}
     while (name := task.carriers.get(name, "")) and name not in seen:
         if name in spots:
@@ -126,7 +137,7 @@ def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
 
 
 def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal | None:
-    """Return the deepest overlap of a placed object or its riders with anything other than their supports."""
+    """Return a refusal for the deepest overlap of a moved object with anything other than its support, or None."""
     moved = {n for n in state.poses if n in spots or _moving_carrier(task, n, spots) is not None}
     world.reset(state)
     worst: tuple[float, str, str] | None = None
@@ -144,7 +155,7 @@ def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal 
 
 
 def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal:
-    """Settle a state; return the rounded state at rest, or the reason for failure."""
+    """Settle a state and return the rounded state at rest, or the reason for the failure."""
     result = settle(world, SETTLING, state=state)
     for report in result.objects:
         problems = [
@@ -156,7 +167,7 @@ def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal
 
 
 def rounded(state: SceneState) -> SceneState:
-    """Round the state to :data:`DIGITS` decimals."""
+    """Round a state to :data:`DIGITS` decimals."""
     poses = {name: _rounded(pose) for name, pose in state.poses.items()}
     motions = {name: _rounded(pose) for name, pose in state.motions.items()}
     return SceneState.of(poses, {name: round(v, DIGITS) + 0.0 for name, v in state.joints.items()}, motions)
@@ -167,7 +178,7 @@ def _rounded(pose: Pose) -> Pose:
 
 
 def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> Refusal | None:
-    """Return a refusal if an object settled outside its cell."""
+    """Return a refusal if an object settled outside its cell, otherwise None."""
     for name, cell in cells.items():
         spans = bounds(task.reset.objects[name], task.reset.grid, cell)
         for (low, high), value, axis in zip(spans, state.poses[name].p[:2], "xy", strict=True):
@@ -179,7 +190,7 @@ def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> R
 
 
 def restless(task: Task, world: World, state: SceneState) -> Refusal | None:
-    """Return a refusal for the object that moves most from a state that should be at rest, if it moves too far."""
+    """Return a refusal if an object moves too far in a state that should be at rest, otherwise None."""
     motions = simulate(world, STILL_S, state)
     for motion in sorted(motions, key=lambda m: -m.moved):
         turned = 0.0 if is_ball(task.scene.object(motion.name)) else motion.turned_deg

@@ -1,9 +1,9 @@
-"""Starts of rollouts: each object in a new cell of its grid each time, settled, verified, and equal for all policies.
+"""Initial states of rollouts, which are settled, verified, and the same for all policies.
 
-The paper's protocol ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid per object, one cell per rollout
-without replacement, and a sampled rotation. A start depends only on the task, the seed and its index. If a cell cannot
-be used together with those of the other objects, the object exchanges it with that of a later start. Starts are cached
-on disk, keyed by the content that they depend on.
+The protocol is that of the paper ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid for each object, one
+cell per rollout drawn without replacement, and a random rotation. An initial state depends only on the task, the seed
+and its index. If the cell of an object conflicts with those of the other objects, it is exchanged with the cell from a
+later initial state. Initial states are cached on disk under a key derived from the content they depend on.
 """
 
 from __future__ import annotations
@@ -47,16 +47,17 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 VERSION = "starts/1"
-"""Cache version; incremented when the same task and seed would give other starts."""
+"""Cache version; increment it when the same task and seed would produce different initial states."""
 
 Known = tuple[dict[str, list[GridCell]], list[SceneState]]
-"""The cells of each object in all starts of a deal, and the states of the first starts."""
+"""The cells of each object in all initial states of a block, and the states that were already found."""
 
 
 def key_of_starts(task: Task, seed: int) -> str:
-    """Return the cache key of a task's starts: the world that they are settled in, the reset, the goal, and the seed.
+    """Return the cache key for the initial states of a task.
 
-    The engine's version is not included: starts stay the same after an update.
+    It covers the world in which they are settled, the reset, the goal and the seed, but not the version of the engine,
+    so that initial states do not change after an update.
     """
     files = compile_mjcf(task.scene).files
     goal: bytes = TypeAdapter(Condition).dump_json(task.goal)
@@ -67,7 +68,7 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
-    """Read the stored part of a deal; None if there is none or if it is damaged."""
+    """Read the cached part of a block; return None if there is no entry or if it is damaged."""
     data = cache.get(key_of(key))
     if data is None:
         return None
@@ -80,13 +81,13 @@ def read_block(cache: Cache, key: str) -> Known | None:
 
 
 def write_block(cache: Cache, key: str, cells: Mapping[str, list[GridCell]], states: list[SceneState]) -> None:
-    """Store a deal and the states found so far."""
+    """Store the cells of a block and the states found so far."""
     entry = {"cells": dict(cells), "states": [state_to_json(state) for state in states]}
     cache.put(key_of(key), json.dumps(entry).encode())
 
 
 def state_to_json(state: SceneState) -> dict[str, Any]:
-    """Serialize a state without rounding: positions [m], quaternions (wxyz), joints [rad or m]."""
+    """Serialize a state without rounding: positions [m], wxyz quaternions, and joint positions [rad or m]."""
     return {
         "poses": {name: _numbers(pose) for name, pose in state.poses.items()},
         "joints": dict(state.joints),
@@ -108,23 +109,30 @@ def _numbers(pose: Pose) -> list[float]:
 
 
 def _pose(numbers: list[float]) -> Pose:
-    # Pose.of would normalize again and change the last bit.
+    # Pose.of would normalize the quaternion again and change its last bit.
     return Pose(frozen_array(numbers[:3], (3,)), frozen_array(numbers[3:7], (4,)))
 
 
 TRIES, TRIES_ELSEWHERE = 20, 5
-"""Number of attempts to place objects in their cells, and attempts per combination after an exchange of cells."""
+"""Number of attempts to place objects in their cells, and number of attempts for each exchange of cells."""
 
 HOPELESS = 6
-"""Number of failures, other than two objects' cells being too close, after which the search stops."""
+"""Number of failures, other than conflicts between the cells of two objects, after which the search stops."""
 
 Progress = Callable[[int, int], None]
-"""Callback that receives the number of starts found and the total number."""
+"""Callback that receives the number of initial states found and the total number."""
 
 
 @dataclass(frozen=True, eq=False)
 class RolloutStart:
-    """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state`` at rest."""
+    """The initial state of a rollout.
+
+    Attributes:
+        index: The index of the rollout, counted from 0.
+        seed: The seed from which the initial state was derived.
+        cells: The cell of each object by name.
+        state: The state at rest.
+    """
 
     index: int
     seed: int
@@ -133,22 +141,32 @@ class RolloutStart:
 
     @property
     def digest(self) -> str:
-        """Sixteen hex digits that identify the state."""
+        """Sixteen hexadecimal digits that identify the state."""
         text = json.dumps(state_to_json(self.state), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class StartError(SimfoundryError):
-    """Failure to find a start; the message names the object, its cell and the reason."""
+    """An error raised if no initial state is found; the message contains the object, its cell and the reason."""
 
 
 def starts(
     task: Task, n: int = 25, seed: int = 0, cache: Cache | None = None, progress: Progress | None = None
 ) -> tuple[RolloutStart, ...]:
-    """Return the first ``n`` starts of a task. After one start per cell of the grid, all cells are dealt again.
+    """Return the first ``n`` initial states of a task.
 
-    ``cache`` stores them by the content of the scene and the task, so that they are settled only once. Raises
-    :class:`StartError` if one cannot be found.
+    After one initial state per cell of the grid, all cells are dealt again.
+
+    Args:
+        task: The task.
+        n: The number of initial states.
+        seed: The seed for all random choices.
+        cache: A cache that stores initial states by the content of the scene and the task, so that they are settled
+            only once.
+        progress: A callback that reports how many have been found.
+
+    Raises:
+        StartError: If an initial state cannot be found.
     """
     along_x, along_y = task.reset.grid
     size = along_x * along_y
@@ -171,7 +189,7 @@ def starts(
 
 @dataclass
 class _Block:
-    """The starts of one deal found so far, and the cells of each object in all of its starts."""
+    """The initial states of one block found so far, and the cells of each object in all of them."""
 
     first: int
     cells: dict[str, list[GridCell]]
@@ -187,26 +205,26 @@ class _Block:
         return made
 
     def at(self, k: int) -> Mapping[str, GridCell]:
-        """Cells of the k-th start of the deal."""
+        """Return the cells for the k-th initial state in the block."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
 
     @property
     def size(self) -> int:
-        """Number of starts of the deal."""
+        """The number of initial states in the block."""
         return max((len(cells) for cells in self.cells.values()), default=0)
 
     def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
-        """Return the k-th start of the deal."""
+        """Return the k-th initial state in the block."""
         return RolloutStart(self.first + k, seed, self.at(k), state)
 
     def exchange(self, name: str, k: int, other: int) -> None:
-        """Exchange an object's cells of two starts."""
+        """Exchange the cells of an object between two initial states."""
         cells = self.cells[name]
         cells[k], cells[other] = cells[other], cells[k]
 
 
 class _Search:
-    """A search for starts of a task, with a world that is opened when the first one must be found."""
+    """A search for the initial states of a task; the world is opened only when it is first needed."""
 
     def __init__(self, task: Task, seed: int) -> None:
         self.task, self.seed = task, seed
@@ -221,7 +239,7 @@ class _Search:
             self._opened[0].close()
 
     def next(self, block: _Block) -> RolloutStart:
-        """Find the next start of a deal; its cells may be exchanged with those of later ones."""
+        """Find the next initial state of a block, exchanging cells with later ones if necessary."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
         result = self._attempts(block.at(k), rngs, TRIES)
@@ -239,7 +257,7 @@ class _Search:
     def _attempts(
         self, cells: Mapping[str, GridCell], rngs: Mapping[str, np.random.Generator], tries: int
     ) -> SceneState | list[Refusal]:
-        """Return a state with the objects in their cells, or the reasons for failure of all attempts."""
+        """Return a state with the objects in their cells, or the reasons why all attempts failed."""
         regions, grid = self.task.reset.objects, self.task.reset.grid
         refusals: list[Refusal] = []
         while len(refusals) < tries and sum(not r.other for r in refusals) < HOPELESS:
@@ -248,7 +266,7 @@ class _Search:
             if isinstance(result, SceneState):
                 return result
             refusals.append(result)
-            if not spots:  # another attempt would change nothing
+            if not spots:  # nothing is random, so another attempt would fail in the same way
                 break
         return refusals
 
@@ -265,9 +283,7 @@ class _Search:
             return refusal
         verdict = judge(self.task.goal, result)
         if verdict.value:
-            return Refusal(
-                next(iter(cells), ""), "the goal is true already", f"the goal is true already: {verdict.why}"
-            )
+            return Refusal(next(iter(cells), ""), "the goal already holds", f"the goal already holds: {verdict.why}")
         return result
 
 
@@ -278,18 +294,19 @@ def _commonest(refusals: list[Refusal]) -> Refusal:
 
 
 def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, GridCell], refusals: list[Refusal]) -> str:
-    """Explain which object no longer fits into which cell, with counts of the most frequent reasons."""
+    """Describe the object and cell for which no initial state was found, with the most frequent reasons."""
     blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)
     reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
     step = f", step `{task.step}`" if task.step else ""
     if blamed not in cells:
-        return f"task `{task.name}`{step}: start {index} cannot be used: {reasons}"
+        return f"task `{task.name}`{step}: initial state {index} is not valid: {reasons}"
     (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
     elsewhere = ", nor in any remaining cell" if refused.other else ""
     where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
     return (
-        f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}) in "
-        f"{len(refusals)} tries{elsewhere}: {reasons}; move its region under `reset`, or make it smaller"
+        f"task `{task.name}`{step}: initial state {index}: could not place `{blamed}` in cell {cells[blamed]} "
+        f"({where}) in {len(refusals)} attempts{elsewhere}: {reasons}; move its region under `reset`, or make the "
+        "region smaller"
     )

@@ -1,4 +1,7 @@
-"""Interface between a policy and the robots and cameras of a world: observations, and actions as joint targets."""
+"""The interface between a policy and the robots and cameras in a world.
+
+It provides observations and applies actions as joint targets.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,25 @@ from simfoundry.worlds.base import World, WorldRobot
 
 
 def check_cameras(scene: Scene, wanted: Mapping[str, ImageSize], who: str) -> None:
-    """Raise :class:`SimfoundryError` for a camera that the scene lacks, or a size without pixels."""
+    """Check that the scene has all requested cameras and that every requested image has at least one pixel.
+
+    Raises:
+        SimfoundryError: If it does not; ``who`` is the part of the message that names the requester.
+    """
     known = [c.name for c in scene.cameras] + [m.camera.name for m in scene.mounted]
     lost = {left.path.removeprefix("cameras."): left.reason for left in scene.left_out}
     for name, size in wanted.items():
         if name not in known:
-            hint = lost.get(name) or nearest(name, known) or "it has none"
+            hint = lost.get(name) or nearest(name, known) or "the scene has no cameras"
             raise SimfoundryError(f"{who} requests camera `{name}`, which scene `{scene.name}` does not have; {hint}")
         if size.width < 1 or size.height < 1:
-            raise SimfoundryError(f"{who} requests an image of {size.width} x {size.height} pixels from `{name}`")
+            raise SimfoundryError(
+                f"{who} requests an image of {size.width} x {size.height} pixels from `{name}`; both must be positive"
+            )
 
 
 def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotReading]:
-    """Read the present state of each robot."""
+    """Read the current state of each robot."""
     found = {}
     for name, robot in robots.items():
         positions = robot.positions()
@@ -39,30 +48,39 @@ def readings(world: World, robots: Mapping[str, WorldRobot]) -> dict[str, RobotR
 
 
 def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]:
-    """Render the cameras, each at its size."""
+    """Render an image of the given size from each camera."""
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}
 
 
 FARTHEST = 0.2
-"""Maximum distance of a target from its joint when velocities are integrated [rad or m]: DROID's largest step."""
+"""Maximum distance between a joint and its target when velocities are integrated [rad or m]; equals DROID's largest
+step.
+"""
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:
-    """Number of steps of ``timestep`` [s] in control step ``step``, counted from 0.
+    """Return the number of physics steps in a control step; at least 1.
 
-    The end of each control step, not its length, is rounded to a physics step, so that rounding errors never add up: 15
-    Hz with steps of 2 ms gives 33, 34, 33, ... steps, and 10 s are 150 control steps. At least 1.
+    The end of each control step, rather than its length, is rounded to a physics step, so that rounding errors do not
+    accumulate. For example, at 15 Hz and 2 ms per physics step, control steps have 33, 34, 33, ... physics steps, and
+    10 s have 150 control steps.
+
+    Args:
+        step: The index of the control step, counted from 0.
+        control_hz: The control frequency [Hz].
+        timestep: The duration of a physics step [s].
     """
     period = 1.0 / (control_hz * timestep)
     return max(1, round((step + 1) * period) - round(step * period))
 
 
 class Controller:
-    """Applies actions as targets of the arms' joints and as gripper closures.
+    """Applies actions as targets for the arm joints and grippers.
 
     Position targets are clamped to the joint limits. Velocities [rad/s or m/s] are integrated from the previous
-    targets, because servos sag slightly below their targets: integrated from the measured positions, the arm would
-    sink. A target stays within :data:`FARTHEST` of its joint, so that it does not wind up while the arm is blocked.
+    targets. If they were integrated from the measured positions, the arm would sink, because servos sag slightly below
+    their targets. A target stays within :data:`FARTHEST` of its joint, so that it does not wind up while the arm is
+    blocked.
     """
 
     def __init__(self, robots: Mapping[str, WorldRobot], space: ActionSpace, control_hz: float) -> None:
@@ -70,7 +88,7 @@ class Controller:
         self._targets = {name: robot.positions() for name, robot in robots.items()}
 
     def apply(self, action: Array) -> None:
-        """Set the targets of one action, shape (numbers of an action,)."""
+        """Set the targets for one action, shape (action size,)."""
         start = 0
         for name, robot in self._robots.items():
             arm = action[start : start + len(robot.joints)]

@@ -1,6 +1,6 @@
-"""One rollout: a policy acts in a task from a start until the goal has held or can no longer be reached.
+"""A single rollout: a policy acts from an initial state until the goal has held or can no longer be reached.
 
-Sub-tasks stay done once achieved, and the goal must hold for a while.
+A sub-task remains completed once its goal has held; the goal of the task must hold for several control steps.
 """
 
 from __future__ import annotations
@@ -42,17 +42,17 @@ from simfoundry.spec.models.predicate import parse_call, texts
 from simfoundry.worlds.base import World, WorldRobot
 
 HOLD = 3
-"""Number of consecutive control steps (0.2 s at 15 Hz) for which a goal must be true, so that passing through it does
-not count.
+"""Number of consecutive control steps (0.2 s at 15 Hz) for which the goal must be true, so that states in which it
+holds only momentarily do not count.
 """
 
 
 class Progress:
     """The progress of a task over successive states.
 
-    A sub-task is done at the first state in which its goal holds, and stays done. If its goal already holds at the
-    start, such as `Closed(drawer)` before the drawer is opened, it must first become false. The task is done once its
-    goal has been true :data:`HOLD` times in a row.
+    A sub-task is completed at the first state in which its goal holds, and remains completed. If its goal already holds
+    initially, such as `Closed(drawer)` before the drawer is opened, it must first become false. The task is completed
+    once its goal has been true :data:`HOLD` times in a row.
     """
 
     def __init__(self, task: Task, judge: Judge, start: SceneState) -> None:
@@ -62,14 +62,14 @@ class Progress:
         self.done: dict[str, int | None] = dict.fromkeys(task.subtasks)
 
     def see(self, step: int, state: SceneState) -> bool:
-        """Evaluate the state after control step ``step``, counted from 1; return whether the task is now done."""
+        """Evaluate the state after control step ``step``, counted from 1; return True if the task is now completed."""
         return self.see_all(step, [state]) is not None
 
     def see_all(self, step: int, states: Sequence[SceneState]) -> int | None:
-        """Evaluate consecutive states, the first of them after ``step``; return the index of the one that ends the
-        task, or None.
+        """Evaluate consecutive states and return the index of the state that completes the task, or None.
 
-        All are evaluated in one batch, which costs hardly more than one; states after the end are ignored.
+        ``step`` is the control step after which the first state was reached, counted from 1. All states are evaluated
+        in one batch, which takes hardly longer than a single state. States after completion are ignored.
         """
         batch = StateBatch.of(self._task.scene, states)
         open_ = [name for name, done in self.done.items() if done is None]
@@ -90,32 +90,33 @@ class Progress:
 
     @property
     def subtasks(self) -> Mapping[str, int | None]:
-        """Step at which each sub-task was done, counted from 1; None if it was not."""
+        """The control step at which each sub-task was completed, counted from 1, or None if it was not completed."""
         return dict(self.done)
 
 
 FALLEN = 0.3
-"""Distance [m] below the lowest point of the initial scene at which an object has fallen off: below a table's
-height.
+"""Distance [m] below the lowest point of the initial scene at which an object counts as fallen; it is less than the
+height of a table.
 """
 
 
 class RolloutEnd(StrEnum):
-    """The reason for the end of a rollout."""
+    """The reason why a rollout ended."""
 
     SUCCESS = "success"
     HORIZON = "horizon"
     FELL = "fell"
     DIVERGED = "diverged"
     INVALID = "invalid answer"
-    """The policy answered with an error or with something other than actions: the rollout has failed."""
+    """The policy returned an error or something other than actions, so the rollout failed."""
     NO_ANSWER = "no answer"
-    """The policy could not be queried, or the connection was lost: the rollout has no result and counts as missing."""
+    """The policy could not be queried or the connection was lost, so the rollout has no result and counts as missing.
+    """
 
 
 @dataclass(frozen=True)
 class Timings:
-    """Durations of the parts of a rollout [s]."""
+    """The time spent on each part of a rollout [s]."""
 
     total: float
     physics: float
@@ -126,7 +127,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """Images of a rollout to keep: from ``cameras``, after the first of every ``every`` control steps."""
+    """The images to record during a rollout: one from each of ``cameras`` after every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -136,10 +137,18 @@ class Video:
 class Rollout:
     """The result of a rollout.
 
-    ``steps`` control steps were executed; ``subtasks`` has the step at which each was done, counted from 1, or None.
-    ``end`` is the reason for the end and ``reason`` the details of a failure. ``actions`` are those executed, shape
-    (steps, numbers of an action); ``digest`` identifies the whole trajectory to the last bit. ``chunks`` is the number
-    of queries to the policy; ``final`` is the last state; ``frames`` are by camera.
+    Attributes:
+        success: True if the goal was reached.
+        steps: The number of control steps that were executed.
+        subtasks: The step at which each sub-task was completed, counted from 1, or None if it was not completed.
+        end: The reason why the rollout ended.
+        reason: The details of a failure.
+        actions: The actions that were executed, shape (steps, action size).
+        digest: A hash that identifies the trajectory exactly.
+        chunks: The number of requests to the policy.
+        timings: The time spent on each part of the rollout.
+        final: The last state.
+        frames: The recorded images by camera.
     """
 
     task: str
@@ -168,12 +177,22 @@ def rollout(
     judge: Judge | None = None,
     video: Video | None = None,
 ) -> Rollout:
-    """Run a policy from a start in a world of the task's scene.
+    """Run a policy from an initial state in a world with the task's scene.
 
-    The policy is queried again after all actions of an answer were executed; images are rendered only for the policy
-    and for ``video``. A given ``judge`` is reused across rollouts. A policy that answers with something other than
-    actions has failed; one that does not answer leaves no result. Raises :class:`SimfoundryError` if robots or cameras
-    are missing.
+    The policy is queried again after all actions in a response have been executed. Images are rendered only for the
+    policy and for ``video``. If the policy returns something other than actions, the rollout fails; if it does not
+    respond, the rollout has no result.
+
+    Args:
+        task: The task.
+        start: The initial state.
+        policy: The policy to run.
+        world: A world with the scene of the task.
+        judge: A judge to reuse across rollouts; a new one is created by default.
+        video: The images to record.
+
+    Raises:
+        SimfoundryError: If robots or cameras are missing.
     """
     need_robots(task)
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
@@ -184,7 +203,7 @@ def rollout(
 
 
 class _Clock:
-    """Accumulates the durations of the parts of a rollout."""
+    """A timer that accumulates the time spent on each part of a rollout."""
 
     def __init__(self) -> None:
         self.spent = dict.fromkeys(("physics", "render", "policy", "judge"), 0.0)
@@ -219,7 +238,7 @@ class _Run:
             self.progress = Progress(task, judge, self.state)
         objects = task.scene.objects
         self.floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in objects), default=0.0) - FALLEN
-        # Once a free object of the goal has fallen off the scene, the goal cannot be reached any more.
+        # Once a free object in the goal has fallen off the scene, the goal can no longer be reached.
         named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
         self.judged = [item.name for item in objects if item.name in named and not item.fixed]
         self.actions: list[Array] = []
@@ -229,7 +248,7 @@ class _Run:
         self._note()
 
     def play(self) -> tuple[RolloutEnd, str]:
-        """Act until the end; return the reason for it, and the details of a failure."""
+        """Run until the rollout ends; return the reason, and the details of a failure."""
         try:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
@@ -241,14 +260,16 @@ class _Run:
             return RolloutEnd.INVALID, str(error)
         except PolicyError as error:
             return RolloutEnd.NO_ANSWER, str(error)
-        return RolloutEnd.HORIZON, f"not done after {self.task.horizon} control steps"
+        return RolloutEnd.HORIZON, f"not completed after {self.task.horizon} control steps"
 
     def _carry_out(self, actions: Array) -> tuple[RolloutEnd, str] | None:
-        """Execute the actions of one answer, then evaluate their states; return the reason if the rollout ends, else
-        None.
+        """Execute the actions in one response and evaluate the resulting states.
 
-        The policy receives no observation before the last of them, so the states can be evaluated in one batch; actions
-        executed after the goal had held are removed from the record.
+        The policy receives no observation until the last action has been executed, so the states can be evaluated in
+        one batch. Actions that were executed after the goal had held are removed from the record.
+
+        Returns:
+            The reason why the rollout ended with details, or None if it continues.
         """
         first, states, ended = len(self.actions), list[SceneState](), None
         marks = []
@@ -285,7 +306,7 @@ class _Run:
             return checked_actions(self.policy.infer(observation), self.robots)
 
     def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
-        """Execute one action; return the reason if the rollout ends."""
+        """Execute one action; return the reason if the rollout ends, otherwise None."""
         step = len(self.actions)
         self.actions.append(action)
         with self.clock("physics"):

@@ -1,1 +1,1 @@
-"""Statistics of rollouts: records, success rates, comparisons, and correlation with real robots."""
+"""Statistics of rollouts: records, success rates, comparisons, and correlation with results on real robots."""

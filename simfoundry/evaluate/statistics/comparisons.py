@@ -1,6 +1,6 @@
-"""Paired comparisons from the same starts: of two policies in one engine, and of a policy in two engines.
+"""Paired comparisons from the same initial states, between two policies in one engine or one policy in two engines.
 
-The second detects results that depend on the engine.
+Comparing two engines reveals results that depend on the engine.
 """
 
 from __future__ import annotations
@@ -18,12 +18,18 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class PolicyComparison:
-    """Two policies over the same starts in one engine.
+    """A comparison of two policies from the same initial states in one engine.
 
-    ``first_only`` and ``second_only`` count the starts at which only one of them succeeded; ``p`` is the p-value of the
-    exact McNemar test, ``p_holm`` the same corrected for the number of comparisons (Holm). ``progress`` is the mean
-    difference in the share of sub-tasks done, first minus second, ``p_progress`` the p-value of a paired permutation
-    test on it; both are None if no task has sub-tasks.
+    Attributes:
+        pairs: The number of initial states with a result for both policies.
+        both: The number of initial states from which both policies succeeded.
+        first_only: The number of initial states from which only the first policy succeeded.
+        second_only: The number of initial states from which only the second policy succeeded.
+        p: The p-value of the exact McNemar test.
+        p_holm: The same p-value after Holm's correction for multiple comparisons.
+        progress: The mean difference in the fraction of completed sub-tasks, first minus second, or None if no task has
+            sub-tasks.
+        p_progress: The p-value of a paired permutation test on that difference, or None if no task has sub-tasks.
     """
 
     first: str
@@ -41,29 +47,29 @@ class PolicyComparison:
 
     @property
     def sentence(self) -> str:
-        """Description of the comparison in one sentence."""
-        parts = {"whole": "", "alone": " of single steps", "onward": " from a step on"}
+        """A one-sentence description of the comparison."""
+        parts = {"whole": "", "alone": " of single steps", "onward": " from a step onward"}
         text = (
-            f"{self.first} and {self.second} from the same {self.pairs} starts{parts[self.part]} in {self.engine}: "
-            f"only {self.first} succeeds in {self.first_only}, only {self.second} in {self.second_only}; "
-            f"p = {self.p_holm:.3g} (exact McNemar test, Holm)"
+            f"{self.first} vs. {self.second} from the same {self.pairs} initial states{parts[self.part]} in "
+            f"{self.engine}: {self.first} alone succeeds in {self.first_only}, {self.second} alone succeeds in "
+            f"{self.second_only}; p = {self.p_holm:.3g} (exact McNemar test, Holm-corrected)"
         )
         if self.progress is None or self.p_progress is None:
             return text
-        return f"{text}; sub-tasks done {self.progress:+.0%}, p = {self.p_progress:.3g} (paired permutation test)"
+        return f"{text}; completed sub-tasks {self.progress:+.0%}, p = {self.p_progress:.3g} (paired permutation test)"
 
     def to_json(self) -> dict[str, Any]:
-        """Return a row of ``comparisons``."""
+        """Return the comparison as a row of ``comparisons``."""
         return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
 def compare_policies(records: Iterable[Record]) -> list[PolicyComparison]:
-    """Compare all pairs of policies over the starts with a result for both; pairs without a common start are skipped.
+    """Compare each pair of policies over the initial states for which both have a result.
 
-    A pair is one start of one task in one engine, identical for both policies to the last bit. Success is binary, so
-    the exact paired test is McNemar's: under the null hypothesis each start at which the two differ is a fair coin
-    toss. The share of sub-tasks done has more than two values, so it is tested by permuting the signs of the
-    differences.
+    Pairs of policies without a common initial state are skipped. Both policies start from bit-identical states of one
+    task in one engine. Success is binary, so the exact paired test is McNemar's test: under the null hypothesis, each
+    initial state with different outcomes is a fair coin toss. The fraction of completed sub-tasks has more than two
+    values, so it is tested by permuting the signs of the differences.
     """
     by_policy: dict[tuple[str, str, str], dict[tuple[Any, ...], Record]] = {}
     for record in records:
@@ -105,27 +111,34 @@ def _policies_compared(
 
 
 def _progress(record: Record) -> float:
-    """Return the share of sub-tasks that were done."""
+    """Return the fraction of sub-tasks that were completed."""
     done = record["subtasks"]
     return sum(step is not None for step in done.values()) / len(done)
 
 
 APART = 2 / 25
-"""Threshold on the difference in successes, as a share of the starts, above which engines disagree: two of the 25
-rollouts of the paper's protocol, in which contacts that differ by rounding end differently (docs/evaluation.md).
+"""Threshold on the difference in successes, as a fraction of the initial states, above which engines disagree. It
+equals 2 of the 25 rollouts in the paper's protocol: rollouts whose contacts differ by rounding errors can end
+differently (docs/evaluation.md).
 """
 
 CHANCE = 1
-"""Maximum difference in successes that counts as chance, however few starts there are."""
+"""Maximum difference in the number of successes that is attributed to chance, regardless of the number of initial
+states.
+"""
 
 
 @dataclass(frozen=True)
 class EngineComparison:
-    """A policy on a task in two engines.
+    """A comparison of one policy on one task in two engines.
 
-    ``first_only`` and ``second_only`` are the indices of the starts at which it succeeded in only one engine, out of
-    ``pairs`` starts with a result in both; ``first_done`` and ``second_done`` count its successes; ``p`` is the p-value
-    of the exact McNemar test.
+    Attributes:
+        pairs: The number of initial states with a result in both engines.
+        first_done: The number of successes in the first engine.
+        second_done: The number of successes in the second engine.
+        first_only: The indices of the initial states from which the policy succeeded only in the first engine.
+        second_only: The indices of the initial states from which the policy succeeded only in the second engine.
+        p: The p-value of the exact McNemar test.
     """
 
     task: str
@@ -143,35 +156,36 @@ class EngineComparison:
 
     @property
     def disagrees(self) -> bool:
-        """Return whether the engines differ by more than chance and rounding explain."""
+        """True if the engines differ by more than chance and rounding errors can explain."""
         return abs(self.first_done - self.second_done) > max(CHANCE, APART * self.pairs)
 
     @property
     def title(self) -> str:
-        """Title of the task."""
+        """The title of the task."""
         return f"{self.task}: {self.step}" if self.step else self.task
 
     @property
     def sentence(self) -> str:
-        """Description of the disagreement in one sentence."""
+        """A one-sentence description of the disagreement."""
         return (
             f"{self.title} with {self.policy}: {self.first} and {self.second} disagree: {self.first_done} and "
-            f"{self.second_done} of the same {self.pairs} starts succeed (p = {self.p:.3g}, exact McNemar test), so "
-            f"the rate depends more on the engine than on the policy; compare the rollouts {_listed(self.differing)}"
+            f"{self.second_done} of the same {self.pairs} initial states lead to success (p = {self.p:.3g}, exact "
+            "McNemar test), so the rate depends more on the engine than on the policy; compare rollouts "
+            f"{_listed(self.differing)}"
         )
 
     @property
     def differing(self) -> tuple[int, ...]:
-        """Indices of the starts with different results."""
+        """The indices of the initial states with different outcomes."""
         return tuple(sorted((*self.first_only, *self.second_only)))
 
     def to_json(self) -> dict[str, Any]:
-        """Return a row of ``engines``."""
+        """Return the comparison as a row of ``engines``."""
         return {**vars(self), "p": round(self.p, 6), "disagrees": self.disagrees}
 
 
 def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
-    """Compare all pairs of engines per task and policy, over the starts with a result in both."""
+    """Compare each pair of engines per task and policy, over the initial states with a result in both engines."""
     groups: dict[tuple[str, str, str, str], dict[str, dict[tuple[int, str], Record]]] = {}
     for record in records:
         if is_result(record):

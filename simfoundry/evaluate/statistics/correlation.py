@@ -1,8 +1,8 @@
-"""Correlation of real and simulated success rates: Pearson's r and MMRV per task, with intervals from posterior draws.
+"""Correlation between real and simulated success rates: Pearson's r and MMRV per task, with uncertainty intervals.
 
-The rates are read from a table or from the results of `simfoundry eval`. A table is CSV with a header: ``task``,
-``policy`` and either ``rate`` (0 to 1, or with ``%``) or ``successes`` and ``rollouts``; ``rollouts`` may also be
-given with a rate. Lines starting with ``#`` are comments.
+The rates are read from a table or from the results of `simfoundry eval`. A table is a CSV file with a header. It has
+the columns ``task``, ``policy`` and either ``rate`` (0 to 1, or a percentage with ``%``) or ``successes`` and
+``rollouts``; ``rollouts`` may also accompany a rate. Lines starting with ``#`` are comments.
 """
 
 from __future__ import annotations
@@ -23,18 +23,22 @@ from simfoundry.evaluate.statistics.metrics import mmrv, pearson, weighted_mmrv,
 from simfoundry.geometry.frames import Array
 
 MOST_BYTES = 32 * 2**20
-"""Maximum size of a table [bytes]."""
+"""The maximum size of a table [bytes]."""
 
 
 class ScoresError(SimfoundryError):
-    """A table of scores that cannot be read; the message names the file, the line and the expected content."""
+    """An error in a table of scores; the message contains the file, the line and the expected content."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """The success of a policy on a task: ``rate`` in [0, 1] over ``rollouts``, None if their number is unknown.
+    """The success rate of a policy on a task.
 
-    ``invalid`` of them failed by an invalid answer; ``missing`` further ones have no result.
+    Attributes:
+        rate: The success rate, from 0 to 1.
+        rollouts: The number of rollouts with a result, or None if it is unknown.
+        invalid: The number of those rollouts that failed because of an invalid response.
+        missing: The number of additional rollouts that have no result.
     """
 
     task: str
@@ -47,7 +51,7 @@ class Score:
 
 
 def read_scores(path: Path) -> list[Score]:
-    """Read the scores of a CSV table, of a ``results.json``, or of a folder with one, in their order.
+    """Read scores, in file order, from a CSV table, a ``results.json``, or a folder that contains a ``results.json``.
 
     Rows of ``results.json`` without any result are skipped.
     """
@@ -65,10 +69,10 @@ def read_scores(path: Path) -> list[Score]:
             continue
         score = _score(place, row)
         if (score.task, score.policy, score.engine) in scores:
-            raise ScoresError(f"{place}: {score.policy} on {score.task} is a duplicate; give each pair once")
+            raise ScoresError(f"{place}: {score.policy} on {score.task} is a duplicate; list each pair only once")
         scores[score.task, score.policy, score.engine] = score
     if not scores:
-        raise ScoresError(f"{file} holds no scores; give a line with task, policy and rate for each")
+        raise ScoresError(f"{file} contains no scores; add a line with task, policy and rate for each score")
     return list(scores.values())
 
 
@@ -79,8 +83,8 @@ def _csv_rows(file: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     if not {"task", "policy"} <= header or not ("rate" in header or {"successes", "rollouts"} <= header):
         found = ", ".join(sorted(header)) or "nothing"
         raise ScoresError(
-            f"{file}:1: the header must name task, policy and rate, or task, policy, successes and rollouts; "
-            f"it names {found}"
+            f"{file}:1: the header must contain task, policy and rate, or task, policy, successes and rollouts; "
+            f"it contains {found}"
         )
     for (number, _), row in zip(lines[1:], reader, strict=False):
         yield f"{file}:{number}", {key.strip(): value for key, value in row.items() if isinstance(key, str)}
@@ -90,7 +94,7 @@ def _json_rows(file: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]
     try:
         data = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
-        raise ScoresError(f"{file} is not JSON: {error}") from None
+        raise ScoresError(f"{file} is not valid JSON: {error}") from None
     rows = data.get("scores") if isinstance(data, dict) else None
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise ScoresError(f"{file} has no list `scores`; `simfoundry eval` writes one into results.json")
@@ -102,7 +106,7 @@ def _json_rows(file: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]
 def _score(place: str, row: Mapping[str, Any]) -> Score:
     task, policy = (str(row.get(key) or "").strip() for key in ("task", "policy"))
     if not task or not policy:
-        raise ScoresError(f"{place}: task and policy must be named")
+        raise ScoresError(f"{place}: task and policy are required")
     rollouts = _number(place, row, "rollouts")
     successes = _number(place, row, "successes")
     rate = _number(place, row, "rate")
@@ -110,11 +114,11 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
         raise ScoresError(f"{place}: rollouts must be a whole number above 0, not {rollouts:g}")
     if rate is None:
         if successes is None or rollouts is None:
-            raise ScoresError(f"{place}: give a rate, or successes and rollouts")
+            raise ScoresError(f"{place}: either a rate, or successes and rollouts are required")
         rate = successes / rollouts
     if not 0 <= rate <= 1:
         raise ScoresError(
-            f"{place}: {rate:g} is not a success rate; give a number between 0 and 1, or a percentage such as 34%"
+            f"{place}: {rate:g} is not a success rate; use a number between 0 and 1, or a percentage such as 34%"
         )
     counts = {key: int(_number(place, row, key) or 0) for key in ("invalid", "missing")}
     return Score(
@@ -123,7 +127,10 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
 
 
 def by_engine(scores: list[Score]) -> dict[str, list[Score]]:
-    """Group the scores by engine, in their order; a table without engines has one group, named by the empty string."""
+    """Group the scores by engine, preserving their order.
+
+    Scores from a table without engines form a single group, whose name is the empty string.
+    """
     found: dict[str, list[Score]] = {}
     for score in scores:
         found.setdefault(score.engine, []).append(score)
@@ -147,15 +154,21 @@ def _number(place: str, row: Mapping[str, Any], key: str) -> float | None:
 Interval = tuple[float, float]
 
 BLOCK = 1000
-"""Number of draws per batch: MMRV compares all pairs of policies in each, 80 MB for a hundred policies."""
+"""Number of draws per batch. MMRV compares all pairs of policies in each draw, which takes 80 MB for 100 policies."""
 
 
 @dataclass(frozen=True)
 class RateAgreement:
-    """Agreement between simulation and reality on one task, over the policies evaluated in both.
+    """The agreement between simulation and reality on one task, over the policies that were evaluated in both.
 
-    ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None if one of the two is
-    constant. The intervals are central intervals over redrawn rates and policies, None with a single policy.
+    Attributes:
+        policies: The names of the policies.
+        real: The real success rate of each policy, from 0 to 1.
+        sim: The simulated success rate of each policy, from 0 to 1.
+        pearson: Pearson's r, or None if either set of rates is constant.
+        mmrv: The mean maximum rank violation.
+        pearson_interval: The central interval of r over resampled rates and policies, or None for a single policy.
+        mmrv_interval: The central interval of MMRV over resampled rates and policies, or None for a single policy.
     """
 
     task: str
@@ -170,7 +183,7 @@ class RateAgreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """Options of the intervals: ``rollouts`` is the number assumed for rates that do not state it."""
+    """Options for computing the intervals; ``rollouts`` is assumed for rates that do not specify it."""
 
     count: int = 2000
     rollouts: int = 25
@@ -179,14 +192,17 @@ class Draws:
 
 
 def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[RateAgreement]:
-    """Compute the agreement on each task in both tables, in the order of the real scores; raises ScoresError if there
-    is none.
+    """Compute the agreement on each task that is in both tables, in the order of the real scores.
 
-    Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
-    treated as certain, and the policies by a Bayesian bootstrap (Rubin, 1981) with weights from a flat Dirichlet.
-    Resampling three to five policies with replacement would mostly leave two, and r at 1 or -1. Of 95 % intervals for 3
-    to 8 policies with 25 rollouts each, 84 to 99 % contain the r of the population of policies
-    (``tests/corpora/intervals.py``); of a bootstrap over the rollouts alone, 57 to 94 % did.
+    Each draw samples every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that rates of 0 and 25 out
+    of 25 are not treated as certain. It also samples the policies with a Bayesian bootstrap (Rubin, 1981), with weights
+    from a flat Dirichlet distribution. Resampling three to five policies with replacement would mostly leave only two
+    distinct policies, and therefore r at 1 or -1. For 3 to 8 policies with 25 rollouts each, 84 to 99 % of the 95 %
+    intervals contain the r of the population of policies (``tests/corpora/intervals.py``); with a bootstrap over the
+    rollouts alone, only 57 to 94 % did.
+
+    Raises:
+        ScoresError: If no pair of task and policy is in both tables.
     """
     there = {(s.task, s.policy): s for s in sim}
     tasks: dict[str, list[tuple[Score, Score]]] = {}
@@ -196,33 +212,33 @@ def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> lis
             tasks.setdefault(score.task, []).append((score, twin))
     if not tasks:
         raise ScoresError(
-            "no pair of task and policy is in both tables: "
-            f"the real one has {_some(real)}; the simulated one has {_some(sim)}"
+            "the two tables have no pair of task and policy in common: "
+            f"the real one contains {_some(real)}; the simulated one contains {_some(sim)}"
         )
     rng = np.random.default_rng(draws.seed)
     return [_agreement(task, pairs, draws, rng) for task, pairs in tasks.items()]
 
 
 def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
-    """List the pairs ``task × policy`` that only one of the two tables has, sorted."""
+    """List the pairs ``task × policy`` that appear in only one of the two tables, sorted."""
     a, b = ({(s.task, s.policy) for s in scores} for scores in (real, sim))
     return [f"{task} × {policy}" for task, policy in sorted(a ^ b)]
 
 
 def reservations(scores: Sequence[Score]) -> list[str]:
-    """Return a warning sentence for each rate that lacks some of its planned rollouts."""
+    """Return a warning sentence for each rate with missing rollouts or invalid responses."""
     said = []
     for s in scores:
         of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
         if s.missing:
-            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing; the rate is that of the others")
+            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing; the rate does not include them")
         if s.invalid:
-            said.append(f"{s.policy} on {s.task}: {s.invalid} rollouts failed by an invalid answer")
+            said.append(f"{s.policy} on {s.task}: {s.invalid} rollouts failed because of an invalid response")
     return said
 
 
 def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]:
-    """Mean of r over the tasks that define it (None if there is none), and mean MMRV over all tasks."""
+    """Return the mean r, or None if r is undefined for every task, and the mean MMRV over all tasks."""
     defined = [a.pearson for a in found if a.pearson is not None]
     return (fmean(defined) if defined else None), fmean(a.mmrv for a in found)
 
@@ -243,7 +259,7 @@ def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: n
 
 
 def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Pearson's r (NaN if it is undefined) and MMRV of each draw, shape (draws,)."""
+    """Return Pearson's r (NaN if undefined) and MMRV for each draw, each with shape (draws,)."""
     found: list[tuple[Array, Array]] = []
     for start in range(0, draws.count, BLOCK):
         count = min(BLOCK, draws.count - start)

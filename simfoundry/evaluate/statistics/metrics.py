@@ -1,4 +1,4 @@
-"""Metrics of the agreement between simulation and reality, and confidence intervals of success rates.
+"""Metrics for the agreement between simulation and reality, and confidence intervals for success rates.
 
 Pearson's r and the mean maximum rank violation are defined as in the SimFoundry paper, appendix *Real-to-Sim Metrics*.
 """
@@ -14,13 +14,13 @@ import numpy as np
 from simfoundry.geometry.frames import Array
 
 Z_95 = 1.959963984540054
-"""Quantile of the normal distribution that leaves a total of 5 % in both tails."""
+"""The two-sided 95 % quantile of the standard normal distribution, which leaves 2.5 % in each tail."""
 
 
 def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float | None:
-    """Pearson's correlation coefficient of two rows of scores, shape (n,); None if one of them is constant.
+    """Return Pearson's correlation coefficient between two arrays of scores, shape (n,), or None if either is constant.
 
-    A constant row has no defined correlation: the coefficient is 0/0, and neither 0 nor 1 would be correct.
+    For a constant array the coefficient would be 0/0, so neither 0 nor 1 would be correct.
     """
     x, y = _pair(real, sim)
     if len(x) < 2 or np.ptp(x) == 0 or np.ptp(y) == 0:
@@ -30,11 +30,11 @@ def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> floa
 
 
 def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
-    """Mean maximum rank violation of two rows of scores, shape (n,), in the unit of the real ones.
+    """Return the mean maximum rank violation of two arrays of scores, shape (n,), in the unit of the real scores.
 
-    For each policy, take the largest real difference to a policy that simulation ranks in the opposite order; return
-    the mean. Comparisons are strict, so a tie in one row and an order in the other violates the rank of one of the two
-    policies, as in the paper.
+    For each policy, the rank violation is the largest real difference to any policy that simulation ranks in the
+    opposite order. The result is the mean over the policies. Comparisons are strict, as in the paper, so if two
+    policies are tied in one array but not in the other, the rank of one of them is violated.
     """
     x, y = _pair(real, sim)
     if len(x) == 0:
@@ -44,7 +44,10 @@ def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
 
 
 def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
-    """Pearson's coefficient of each row of weighted scores, all of shape (rows, n); NaN for constant rows."""
+    """Return Pearson's correlation coefficient for each row of weighted scores, or NaN for constant rows.
+
+    All arguments have shape (rows, n).
+    """
     share = weights / weights.sum(axis=1, keepdims=True)
     dx, dy = (v - (share * v).sum(axis=1, keepdims=True) for v in (real, sim))
     square = (share * dx * dx).sum(axis=1) * (share * dy * dy).sum(axis=1)
@@ -53,16 +56,16 @@ def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
 
 
 def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
-    """Mean maximum rank violation of each row of weighted scores, all of shape (rows, n)."""
+    """Return the mean maximum rank violation for each row of weighted scores; all arguments have shape (rows, n)."""
     share = weights / weights.sum(axis=1, keepdims=True)
     dx, dy = (v[:, :, None] - v[:, None, :] for v in (real, sim))
     return np.asarray((share * np.max(np.abs(dx) * ((dy < 0) != (dx < 0)), axis=2)).sum(axis=1))
 
 
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson's score interval of a success rate, for ``z`` standard deviations; (0, 1) without rollouts.
+    """Return Wilson's score interval of a success rate at ``z`` standard deviations, or (0, 1) without rollouts.
 
-    It stays within [0, 1] and is meaningful even for 0 and for 25 successes in 25 rollouts (Wilson, 1927).
+    The interval stays within [0, 1] and is meaningful even for 0 or 25 successes in 25 rollouts (Wilson, 1927).
     """
     if not 0 <= successes <= rollouts:
         raise ValueError(f"{successes} successes in {rollouts} rollouts")
@@ -80,14 +83,14 @@ def _wilson(rate: float, rollouts: float, z: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Rate:
-    """A success rate: ``done`` of ``of`` rollouts."""
+    """A success rate: ``done`` successes in ``of`` rollouts."""
 
     done: int
     of: int
 
     @property
     def share(self) -> float:
-        """Rate in [0, 1]; 0 without rollouts."""
+        """The rate as a number from 0 to 1; 0 without rollouts."""
         return self.done / self.of if self.of else 0.0
 
     @property
@@ -101,12 +104,17 @@ class Rate:
 
 
 def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[float, float, float]:
-    """Mean rate of equally weighted strata, each (successes, rollouts), and the ends of its interval.
+    """Return the mean rate of equally weighted strata, followed by the lower and upper ends of its interval.
 
-    The variance of the mean is that of the strata's rates, sum p(1-p)/n over the square of their number. With one
-    rollout in a stratum its p(1-p) cannot be estimated, so that of the mean rate is used for all; because p(1-p) is
-    concave, this never makes the interval too narrow. The interval is Wilson's for S^2 / sum(1/n) rollouts, with S
-    strata of n each; with equal n, this is the interval of all rollouts together.
+    The variance of the mean is the sum of p(1-p)/n over the strata, divided by the squared number of strata. With a
+    single rollout in a stratum, p(1-p) cannot be estimated, so the value for the mean rate is used for all strata.
+    Because p(1-p) is concave, this never makes the interval too narrow. The interval is Wilson's interval for S^2 /
+    sum(1/n) rollouts, with S strata of n rollouts each; if all n are equal, this is the interval of the pooled
+    rollouts.
+
+    Args:
+        counts: The number of successes and rollouts in each stratum.
+        z: The width of the interval in standard deviations.
     """
     if not counts or any(n < 1 for _, n in counts):
         raise ValueError("each stratum needs at least one rollout")
@@ -116,10 +124,10 @@ def stratified(counts: Sequence[tuple[int, int]], z: float = Z_95) -> tuple[floa
 
 
 def mcnemar(first_only: int, second_only: int) -> float:
-    """Two-sided p-value of the exact McNemar test of paired successes (McNemar, 1947; exact: a binomial test of 1/2).
+    """Return the two-sided p-value of the exact McNemar test on paired successes (McNemar, 1947).
 
-    The arguments count the pairs in which only one of the two succeeded; other pairs carry no information. 1 without
-    any.
+    The exact test is a binomial test with probability 1/2. The arguments count the pairs in which only the first or
+    only the second member succeeded; other pairs carry no information. Without any such pair, the p-value is 1.
     """
     n, least = first_only + second_only, min(first_only, second_only)
     tail: int = sum(math.comb(n, k) for k in range(least + 1))
@@ -127,20 +135,20 @@ def mcnemar(first_only: int, second_only: int) -> float:
 
 
 EXACT_FLIPS = 16
-"""Maximum number of nonzero differences for which all 2^16 sign changes are enumerated, in about 10 ms; beyond it,
-signs are sampled.
+"""The maximum number of nonzero differences for which all sign changes are enumerated: 2^16 take about 10 ms. Beyond
+that, sign changes are sampled.
 """
 
 DRAWN_FLIPS = 20_000
-"""Number of sampled sign changes, for which the standard error of p = 0.05 is 0.0015."""
+"""The number of sampled sign changes; with this many, the standard error at p = 0.05 is 0.0015."""
 
 
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
-    """Two-sided p-value of the paired permutation test that the mean of ``differences``, shape (n,), is zero.
+    """Return the two-sided p-value of a paired permutation test that the mean of ``differences``, shape (n,), is zero.
 
-    Under the null hypothesis the two members of a pair are exchangeable, which changes the sign of their difference
-    (Fisher, 1935). All sign changes are enumerated for up to :data:`EXACT_FLIPS` differences; beyond that they are
-    sampled with ``seed``, and the observed one counts as one of them.
+    Under the null hypothesis the two members of each pair are exchangeable, which flips the sign of their difference
+    (Fisher, 1935). For up to :data:`EXACT_FLIPS` differences, all sign changes are enumerated. Beyond that, they are
+    sampled with ``seed``, and the observed signs are included as one of the samples.
     """
     rest = np.asarray([d for d in differences if abs(d) > 1e-12], dtype=float)
     if not len(rest):
@@ -150,14 +158,14 @@ def sign_flip(differences: Sequence[float], seed: int = 0) -> float:
         bits = np.arange(2 ** len(rest))[:, None] >> np.arange(len(rest)) & 1
         return float((np.abs((2 * bits - 1) @ rest) >= observed).mean())
     rng, extreme = np.random.default_rng(seed), 1
-    for _ in range(DRAWN_FLIPS // 100):  # in blocks, because 20,000 draws of 10,000 signs take 1.6 GB
+    for _ in range(DRAWN_FLIPS // 100):  # in blocks, because 20,000 draws of 10,000 signs would take 1.6 GB
         signs = rng.integers(0, 2, (100, len(rest)))
         extreme += int((np.abs((2 * signs - 1) @ rest) >= observed).sum())
     return extreme / (1 + DRAWN_FLIPS)
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Correct p-values for multiple comparisons (Holm, 1979), in the same order."""
+    """Correct p-values for multiple comparisons (Holm, 1979), preserving their order."""
     corrected, most = [0.0] * len(p), 0.0
     for rank, k in enumerate(sorted(range(len(p)), key=lambda k: p[k])):
         most = max(most, min(1.0, (len(p) - rank) * p[k]))
@@ -168,7 +176,7 @@ def holm(p: Sequence[float]) -> list[float]:
 def _pair(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> tuple[Array, Array]:
     x, y = np.asarray(real, dtype=float), np.asarray(sim, dtype=float)
     if x.shape != y.shape or x.ndim != 1:
-        raise ValueError(f"both rows must have the same number of scores, but have shapes {x.shape} and {y.shape}")
+        raise ValueError(f"both arrays must have the same number of scores, but have shapes {x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("scores must be finite")
     return x, y

@@ -1,8 +1,8 @@
-"""Records of finished rollouts on disk, one file each, so that an interrupted evaluation can be continued.
+"""Records of finished rollouts on disk, one file per rollout, so that an interrupted evaluation can be resumed.
 
-``rollouts/TASK/POLICY/ENGINE/007.json`` is the result of a rollout, ``007.npz`` its actions (for ``--policy
-replay:…``), ``007.webm`` its video. A rollout whose policy did not answer is ``007.missing.json``: it has no result and
-is tried again. A rollout with an invalid answer has a result: it has failed.
+``rollouts/TASK/POLICY/ENGINE/007.json`` contains the result of a rollout, ``007.npz`` its actions (for ``--policy
+replay:…``), and ``007.webm`` its video. A rollout whose policy did not respond is recorded as ``007.missing.json``; it
+has no result and is tried again. A rollout with an invalid response has a result: it failed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_BYTES = 16 * 2**20
 
 @dataclass(frozen=True)
 class RecordSlot:
-    """The files of one rollout below the folder of an evaluation."""
+    """The files of one rollout in the folder of an evaluation."""
 
     folder: Path
     task: str
@@ -38,25 +38,29 @@ class RecordSlot:
 
     @property
     def path(self) -> Path:
-        """File of the result."""
+        """The file that contains the result."""
         return self.folder / "rollouts" / self.task / self.policy / self.engine / f"{self.index:03d}.json"
 
     @property
     def missing(self) -> Path:
-        """File with the reason for a missing result."""
+        """The file that explains why the result is missing."""
         return self.path.with_suffix(_MISSING)
 
     @property
     def video(self) -> Path:
-        """Its video."""
+        """The video file."""
         return self.path.with_suffix(".webm")
 
     def read(self) -> dict[str, Any] | None:
-        """Read the record, or None if there is none; raises :class:`OutputError` if the file is not a record."""
+        """Read the record, or return None if it does not exist.
+
+        Raises:
+            OutputError: If the file is not a record.
+        """
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
-        """Write a rollout with its context ``about``; the file that marks it as done is written last."""
+        """Write a rollout with its context ``about``; the file that marks it as finished is written last."""
         record = record_of(result, about)
         if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
@@ -95,12 +99,12 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """Return whether a record has a result; one without an answer of the policy has none."""
+    """Return True if a record contains a result; it does not if the policy did not respond."""
     return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Read a file written by :meth:`RecordSlot.write`; raises :class:`OutputError` for any other."""
+    """Read a file written by :meth:`RecordSlot.write`; raises :class:`OutputError` if it is not such a file."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ValueError("too large")
@@ -108,22 +112,29 @@ def read_record(path: Path) -> dict[str, Any]:
         if record["simfoundry"] != VERSION or not isinstance(record["index"], int):
             raise ValueError("not a rollout")
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise OutputError(f"{path} is not a record of a rollout; move it away, or choose another folder") from None
+        raise OutputError(f"{path} is not a rollout record; move it, or choose a different folder") from None
     return dict(record)
 
 
 def check_layout(folder: Path) -> None:
-    """Raise :class:`OutputError` if an earlier version wrote rollouts, which would neither be read nor replaced."""
+    """Raise :class:`OutputError` if the folder contains rollouts in the layout of an earlier version.
+
+    Such rollouts would be neither read nor replaced.
+    """
     for path in (folder / "rollouts").glob("*/*/*.json"):
         raise OutputError(
-            f"{path} was written by an earlier version, which had no folder per engine; choose another folder"
+            f"{path} was written by an earlier version that did not use a separate folder per engine; "
+            "choose a different folder"
         )
 
 
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield every rollout of an evaluation with its file, ordered by name, including missing ones (see their ``end``).
+    """Yield every rollout of an evaluation with its file, ordered by file name.
 
-    Raises :class:`OutputError` for a file that is not a record, or for the layout of an earlier version.
+    Missing rollouts are included; their ``end`` identifies them.
+
+    Raises:
+        OutputError: If a file is not a record, or if the folder has the layout of an earlier version.
     """
     check_layout(folder)
     for path in sorted((folder / "rollouts").glob("*/*/*/*.json")):

@@ -1,7 +1,7 @@
-"""Success rates of tasks and their steps with intervals, computed from records of rollouts, for ``results.json``.
+"""Success rates of tasks and their steps with intervals, computed from rollout records, for ``results.json``.
 
-They are also pooled over many tasks, such as a folder of cousins. A rollout with an invalid answer of the policy has
-failed and counts as a rollout; one without an answer has no result: it counts as missing and does not enter any rate.
+Rates are also pooled over multiple tasks, such as a folder of cousins. A rollout with an invalid response counts as a
+failure. A rollout without a response has no result: it is counted as missing and excluded from all rates.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """Return the identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its
-    twin.
+    """Return the recipe, seed, index and axes of a cousin, or None if no recipe generated the task.
 
-    None for a task not made by a recipe. The axes are derived from the fields of its documents that the twin's lack.
+    ``axes`` are those along which the cousin differs from its twin. They are derived from the fields in its documents
+    that are not in the twin's documents.
     """
     origin = task.setup.task_spec.origin
     if origin is None or origin.cousin is None:
@@ -44,7 +44,7 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
             axes.add("object")
         else:
             axes.add("scene")
-    if not task.setup.task.bases:  # it is a new task and does not extend the twin's
+    if not task.setup.task.bases:  # the task is new and does not extend the twin's task
         axes.add("task")
     cousin = origin.cousin
     return {"recipe": cousin.recipe, "seed": cousin.seed, "index": cousin.index, "axes": sorted(axes)}
@@ -52,10 +52,10 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class RatePool:
-    """The results of a policy over several tasks in one engine.
+    """The results of a policy over multiple tasks in one engine.
 
-    ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step by name. ``rate`` weights all
-    rollouts equally; the stratified rate weights all tasks equally.
+    ``counts`` contains the number of successes and rollouts for each task; ``subtasks`` contains the rate of each step
+    by name. ``rate`` weights all rollouts equally, and the stratified rate weights all tasks equally.
     """
 
     policy: str
@@ -68,28 +68,28 @@ class RatePool:
 
     @property
     def rate(self) -> Rate:
-        """Successful rollouts out of all with a result."""
+        """The fraction of rollouts with a result that succeeded."""
         return Rate(sum(done for done, _ in self.counts), sum(of for _, of in self.counts))
 
     @property
     def title(self) -> str:
-        """Title of the stratum."""
-        parts = {"whole": "", "alone": ", single steps", "onward": ", from a step on"}
+        """The title of the stratum."""
+        parts = {"whole": "", "alone": ", single steps", "onward": ", from a step onward"}
         return f"{self.stratum}{parts[self.part]}"
 
     @property
     def is_balanced(self) -> bool:
-        """Return whether all tasks have equally many rollouts, so that the stratified rate equals the pooled one."""
+        """True if all tasks have the same number of rollouts; the stratified and pooled rates are then equal."""
         return len({of for _, of in self.counts}) == 1
 
     @property
     def stratified_text(self) -> str:
-        """Stratified rate with its interval, as text."""
+        """The stratified rate with its interval, as text."""
         rate, low, high = stratified(self.counts)
         return f"{rate:.0%} ({low:.0%} to {high:.0%})"
 
     def to_json(self) -> dict[str, Any]:
-        """Return a row of ``pooled``."""
+        """Return the pool as a row of ``pooled``."""
         rate, low, high = stratified(self.counts)
         return {
             "part": self.part,
@@ -109,10 +109,11 @@ class RatePool:
 
 
 def pools(records: Iterable[Record]) -> list[RatePool]:
-    """Pool every policy over all tasks of each kind, and over those of each recipe and set of axes if these differ.
+    """Pool the results of every policy over all tasks, and over each stratum if there is more than one.
 
-    Pools need several tasks; a single one has its own row. Single steps and remainders of tasks are separate from whole
-    tasks (``part``), because they measure different abilities.
+    A stratum consists of a recipe and a set of axes. Pools need at least two tasks, because a single task already has
+    its own row. Single steps and remainders of tasks are pooled separately from whole tasks (``part``), because they
+    measure different abilities.
     """
     groups: dict[tuple[str, str, str, str], dict[str, list[Record]]] = {}
     results = [r for r in records if is_result(r)]
@@ -139,12 +140,12 @@ def pools(records: Iterable[Record]) -> list[RatePool]:
 
 
 def _rate_of(done: Sequence[int | None]) -> Rate:
-    """Rate of a step, given the control step at which each rollout did it, if it did."""
+    """Return the rate of a step, given the control step at which each rollout completed it, or None if it did not."""
     return Rate(sum(step is not None for step in done), len(done))
 
 
 def stratum_of(record: Record) -> str:
-    """Return the stratum of a rollout: the recipe and the axes of its cousin."""
+    """Return the stratum of a rollout: the recipe and axes of its cousin."""
     cousin = record.get("cousin")
     return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousins"
 
@@ -152,17 +153,21 @@ def stratum_of(record: Record) -> str:
 VERSION = "results/2"
 
 MANY = 12
-"""Maximum number of tasks whose steps are listed in tables; four rows for each of a hundred cousins would be
-too many.
+"""The maximum number of tasks whose steps are listed in tables; listing four rows for each of a hundred cousins would
+be too much.
 """
 
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A task with a policy in an engine: ``success`` of the whole, ``subtasks`` of each step, and the ends of the
-    rollouts.
+    """The results of a policy on a task in an engine.
 
-    ``invalid`` rollouts failed by an invalid answer; ``missing`` requested rollouts have no result.
+    Attributes:
+        success: The success rate of the whole task.
+        subtasks: The success rate of each step.
+        ends: The number of rollouts for each reason to end.
+        invalid: The number of rollouts that failed because of an invalid response.
+        missing: The number of requested rollouts without a result.
     """
 
     task: str
@@ -174,36 +179,39 @@ class ScoreRow:
     subtasks: Mapping[str, Rate]
     ends: Mapping[str, int]
     mean_steps: float | None
-    """Control steps of the successful rollouts, None if there are none."""
+    """The mean number of control steps in the successful rollouts, or None if there are none."""
     invalid: int
     missing: int
 
     @property
     def title(self) -> str:
-        """Title of the task."""
+        """The title of the task."""
         return {"whole": self.task, "alone": f"{self.task}: {self.step}", "onward": f"{self.task} from {self.step}"}[
             self.part
         ]
 
     @property
     def key(self) -> tuple[str, ...]:
-        """Key shared by its records, as returned by :func:`cell_key`."""
+        """The key that all records in this row share, as returned by :func:`cell_key`."""
         return self.task, self.part, self.step, self.engine, self.policy
 
     @property
     def exceptions(self) -> str:
-        """Counts of invalid answers and missing rollouts as text; empty if there are none."""
-        invalid = f"{self.invalid} by an invalid answer" if self.invalid else ""
+        """The number of invalid responses and missing rollouts as text; empty if both are zero."""
+        invalid = f"{self.invalid} with an invalid response" if self.invalid else ""
         return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
 
     @property
     def summary(self) -> str:
-        """Success rate as text, with any invalid and missing rollouts."""
+        """The success rate as text, followed by any invalid responses and missing rollouts."""
         rate = str(self.success) if self.success.of else "no result"
         return f"{rate}, {self.exceptions}" if self.exceptions else rate
 
     def to_json(self) -> dict[str, Any]:
-        """Return a row of ``scores``, as read by `simfoundry correlate`; a single step is a task of its own there."""
+        """Return the row as an entry of ``scores``, which `simfoundry correlate` reads.
+
+        A single step is listed there as a task of its own.
+        """
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
             **({"from": self.step} if self.part == "onward" else {}),
@@ -225,7 +233,7 @@ class ScoreRow:
 
 
 def cells(records: Iterable[Mapping[str, Any]]) -> list[ScoreRow]:
-    """Group the records by task, engine and policy, in their order."""
+    """Group the records by task, engine and policy, preserving their order."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for record in records:
         groups.setdefault(cell_key(record), []).append(record)
@@ -236,7 +244,7 @@ Row = TypeVar("Row", ScoreRow, RatePool)
 
 
 def by_title(found: Sequence[Row]) -> dict[str, dict[str, Row]]:
-    """Arrange rows by title and policy; the title names the engine if there are several."""
+    """Arrange rows by title and policy; the title includes the engine if there is more than one."""
     several = len({row.engine for row in found}) > 1
     named: dict[str, dict[str, Row]] = {}
     for row in found:
@@ -245,7 +253,7 @@ def by_title(found: Sequence[Row]) -> dict[str, dict[str, Row]]:
 
 
 def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the key of a record's cell: task, part, step, engine and policy."""
+    """Return the key of the row that a record belongs to: task, part, step, engine and policy."""
     return tuple(record[key] for key in ("task", "part", "step", "engine", "policy"))
 
 
@@ -271,9 +279,9 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the results of an evaluation as plain data; equal rollouts give equal bytes.
+    """Return the results of an evaluation as plain data; equal rollouts give identical bytes.
 
-    ``rollouts`` counts those with a result, ``unanswered`` those tried without a result.
+    ``rollouts`` contains the rollouts with a result, and ``unanswered`` those that were tried but have no result.
     """
     kept = [{key: value for key, value in r.items() if key not in ("timings", "simfoundry")} for r in records]
     return {

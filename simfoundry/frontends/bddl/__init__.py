@@ -1,4 +1,4 @@
-"""Importer of LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
+"""The importer for LIBERO and BEHAVIOR tasks in the Behavior Domain Definition Language (BDDL)."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

@@ -1,8 +1,8 @@
 """Read BDDL files: parse the PDDL expressions, extract the problem, and convert its conditions to predicates.
 
-Quantifiers become `all`, `any` and `not` over the scene's objects, with the semantics of the `bddl` package: `forn`
-requires exactly n objects and `fornpairs` exactly n pairs; `forpairs` requires a partner for as many objects as the
-smaller of the two groups contains.
+Quantifiers are expanded over the scene's objects to `all`, `any` and `not`, with the same semantics as in the `bddl`
+package. `forn` requires exactly n objects and `fornpairs` exactly n pairs; `forpairs` requires a partner for as many
+objects as the smaller of the two groups contains.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from simfoundry.frontends.errors import ImportRefusedError
 
 @dataclass(frozen=True)
 class BddlRegion:
-    """Part of an object, or a rectangle on it.
+    """A region in a BDDL problem: either a part of an object or a rectangle on it.
 
-    ``ranges`` are (min x, min y, max x, max y) [m] in the frame of ``target``; ``yaw`` is the minimum and maximum
-    rotation about z [rad]. Both are None if the file does not specify them.
+    ``ranges`` is the rectangle (min x, min y, max x, max y) [m] in the frame of ``target``, and ``yaw`` is the minimum
+    and maximum rotation about z [rad]. Each is None if the file does not specify it.
     """
 
     name: str
@@ -35,9 +35,10 @@ class BddlRegion:
 
 @dataclass(frozen=True)
 class BddlProblem:
-    """BDDL problem; ``kinds`` maps objects and fixtures to types, and ``regions`` has regions by qualified name.
+    """A BDDL problem.
 
-    ``domain`` is ``robosuite`` for LIBERO and ``omnigibson`` (``igibson`` in older files) for BEHAVIOR.
+    ``kinds`` maps objects and fixtures to their types, and ``regions`` maps qualified names to regions. ``domain`` is
+    ``robosuite`` for LIBERO and ``omnigibson`` (or ``igibson`` in older files) for BEHAVIOR.
     """
 
     file: Path
@@ -52,21 +53,21 @@ class BddlProblem:
 
 
 def read_problem(path: Path) -> BddlProblem:
-    """Read a BDDL file; raises :class:`ImportRefusedError`."""
+    """Read a BDDL file; raise :class:`ImportRefusedError` if it is invalid."""
     whole = read_group(path)
     if whole.head != "define":
-        raise ImportRefusedError(path, "it does not begin with `(define`", whole.line)
+        raise ImportRefusedError(path, "the file must begin with `(define`", whole.line)
     sections: dict[str, BddlGroup] = {}
     for group in whole.groups:
         if group.head in sections:
-            raise ImportRefusedError(path, f"`{group.head}` stands here again", group.line)
+            raise ImportRefusedError(path, f"there is more than one `{group.head}` section", group.line)
         sections[group.head] = group
     for needed in ("problem", ":goal"):
         if needed not in sections:
-            raise ImportRefusedError(path, f"it has no `({needed} …)`", whole.line)
+            raise ImportRefusedError(path, f"the problem has no `({needed} …)` section", whole.line)
     goal = sections[":goal"]
     if len(goal.groups) != 1:
-        raise ImportRefusedError(path, "its goal is not one condition", goal.line)
+        raise ImportRefusedError(path, "the goal must be a single condition", goal.line)
     kinds: dict[str, str] = {}
     for key in (":fixtures", ":objects"):
         if key in sections:
@@ -98,11 +99,11 @@ def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
             waiting.append(word)
             continue
         if not words or not waiting:
-            raise ImportRefusedError(path, "`-` stands between names and their type", word.line)
+            raise ImportRefusedError(path, "`-` must be placed between names and their type", word.line)
         kind = words.pop(0).text
         for name in waiting:
             if name.text in kinds:
-                raise ImportRefusedError(path, f"`{name.text}` is there twice", name.line)
+                raise ImportRefusedError(path, f"`{name.text}` is listed twice", name.line)
             kinds[name.text] = kind
         waiting = []
     for name in waiting:
@@ -110,7 +111,7 @@ def _read_things(path: Path, group: BddlGroup, kinds: dict[str, str]) -> None:
 
 
 def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
-    """Return the regions by ``TARGET_NAME``, the name that conditions use."""
+    """Return the regions by their qualified names ``TARGET_NAME``, which conditions use."""
     found: dict[str, BddlRegion] = {}
     for region in group.groups if group is not None else ():
         parts = {part.head: part for part in region.groups}
@@ -126,7 +127,7 @@ def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
 
 
 def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | None:
-    """Return the numbers of ``(:key ((1 2 3 4)))``, or those of the first rectangle if there are several."""
+    """Return the numbers in ``(:key ((1 2 3 4)))``; if there are several rectangles, return the first."""
     while group is not None and group.groups:
         group = group.groups[0]
     if group is None:
@@ -136,15 +137,15 @@ def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | N
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ImportRefusedError(path, f"{count} numbers are expected here", group.line)
+        raise ImportRefusedError(path, f"expected {count} numbers here", group.line)
     return numbers
 
 
 MAX_BYTES = 4 * 2**20
-"""Largest file size [bytes]; the largest problem of BEHAVIOR-1K has 20 kB."""
+"""Maximum file size [bytes]; the largest problem in BEHAVIOR-1K has 20 kB."""
 
 MAX_DEPTH = 64
-"""Largest nesting depth; actual problems have about a tenth of it."""
+"""Maximum nesting depth; real problems use about a tenth of it."""
 
 _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
@@ -158,20 +159,20 @@ class BddlWord:
 
     @property
     def plain(self) -> str:
-        """Return the word in lower case, without the prefix of a variable."""
+        """Return the word in lower case, without the `?` prefix that marks a variable."""
         return self.text.lower().removeprefix("?")
 
 
 @dataclass(frozen=True)
 class BddlGroup:
-    """A bracketed expression."""
+    """A parenthesized expression."""
 
     items: tuple[BddlWord | BddlGroup, ...]
     line: int
 
     @property
     def head(self) -> str:
-        """Return the first word in lower case; empty if the group is empty or begins with a bracket."""
+        """Return the first word in lower case, or an empty string if the group does not begin with a word."""
         return self.items[0].plain if self.items and isinstance(self.items[0], BddlWord) else ""
 
     @property
@@ -181,18 +182,18 @@ class BddlGroup:
 
     @property
     def words(self) -> tuple[BddlWord, ...]:
-        """Return the words except the first."""
+        """Return all words except the first."""
         return tuple(item for item in self.items[1:] if isinstance(item, BddlWord))
 
 
 def read_group(path: Path) -> BddlGroup:
-    """Return the single expression of a file; raises :class:`ImportRefusedError`."""
+    """Parse a file that contains a single expression; raise :class:`ImportRefusedError` if it is invalid."""
     if path.stat().st_size > MAX_BYTES:
-        raise ImportRefusedError(path, f"it is larger than {MAX_BYTES >> 20} MiB, which no task is")
+        raise ImportRefusedError(path, f"the file is larger than the limit of {MAX_BYTES >> 20} MiB")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise ImportRefusedError(path, "it is not UTF-8 text") from None
+        raise ImportRefusedError(path, "the file is not valid UTF-8") from None
     open_groups: list[tuple[list[BddlWord | BddlGroup], int]] = []
     whole: BddlGroup | None = None
     line = 1
@@ -202,11 +203,11 @@ def read_group(path: Path) -> BddlGroup:
         elif token == "(":
             open_groups.append(([], line))
             if len(open_groups) > MAX_DEPTH:
-                raise ImportRefusedError(path, f"brackets are nested deeper than {MAX_DEPTH}", line)
+                raise ImportRefusedError(path, f"parentheses are nested more than {MAX_DEPTH} levels deep", line)
         elif not open_groups and token == ")":
-            raise ImportRefusedError(path, "this bracket closes nothing", line)
+            raise ImportRefusedError(path, "unmatched closing parenthesis", line)
         elif whole is not None or not open_groups:
-            raise ImportRefusedError(path, f"`{token[:40]}` stands outside the problem", line)
+            raise ImportRefusedError(path, f"unexpected `{token[:40]}` outside the problem", line)
         elif token != ")":
             open_groups[-1][0].append(BddlWord(token, line))
         else:
@@ -217,25 +218,28 @@ def read_group(path: Path) -> BddlGroup:
             else:
                 whole = group
     if open_groups:
-        raise ImportRefusedError(path, "this bracket is never closed", open_groups[-1][1])
+        raise ImportRefusedError(path, "this parenthesis is never closed", open_groups[-1][1])
     if whole is None:
-        raise ImportRefusedError(path, "it is empty", hint="a problem begins with `(define (problem NAME)`")
+        raise ImportRefusedError(path, "the file is empty", hint="a problem begins with `(define (problem NAME)`")
     return whole
 
 
 MOST_TERMS = 20_000
-"""Largest number of predicates in an expanded goal; quantifiers over many objects grow combinatorially."""
+"""Maximum number of predicates in an expanded goal, because quantifiers over many objects grow combinatorially."""
 
 Condition = Any
-"""Predicate, or a mapping with `all`, `any` or `not`, as in a document."""
+"""A condition as in a document: a predicate, or a mapping with the key `all`, `any` or `not`."""
 
 Scope = Mapping[str, str]
-"""Objects by the names of the variables bound to them."""
+"""The objects bound to variables, by variable name."""
 
 
 @dataclass
 class ConditionReader:
-    """Converts conditions; ``atom`` creates a predicate from its name and arguments, ``objects`` are listed by type."""
+    """Converts BDDL conditions to conditions as in documents.
+
+    ``atom`` creates a predicate from its name and arguments, and ``objects`` lists the objects of each type.
+    """
 
     atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     objects: Mapping[str, Sequence[str]]
@@ -243,7 +247,7 @@ class ConditionReader:
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
-        """Return one condition; None if a part of it is missing, which is then listed in ``missing``."""
+        """Convert a condition; return None and extend ``missing`` if some part of it cannot be resolved."""
         match group.head:
             case "and" | "or":
                 key = "all" if group.head == "and" else "any"
@@ -265,13 +269,13 @@ class ConditionReader:
         parts = list(group.groups)
         number = parts.pop(0).head if numbered and parts else "0"
         if len(parts) != (3 if pairs else 2) or not number.isdigit() or len(number) > 5:
-            self._lack(group, f"`{group.head}` is not complete")
+            self._lack(group, f"`{group.head}` is incomplete")
             return None
         *ranges, body = parts
         each = [self._members(r) for r in ranges]
         empty = [part for part, (_, names) in zip(ranges, each, strict=True) if not names]
         for part in empty:
-            self._lack(part, "it ranges over a type that nothing has")
+            self._lack(part, "no object has the type of this variable")
         if empty:
             return None
         if not pairs:
@@ -299,7 +303,7 @@ class ConditionReader:
         return self._joined("all", sides)
 
     def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
-        """Return the condition that at least ``least`` of the conditions hold."""
+        """Return a condition that is true if at least ``least`` of the conditions are true."""
         if not self._affordable(group, len(found), least):
             return None
         if least == len(found):
@@ -307,9 +311,9 @@ class ConditionReader:
         return self._joined("any", [self._joined("all", list(chosen)) for chosen in combinations(found, least)])
 
     def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
-        """Return the condition that exactly ``count`` of the conditions hold."""
+        """Return a condition that is true if exactly ``count`` of the conditions are true."""
         if count > len(found):
-            self._lack(group, f"{count} are to hold of {len(found)}")
+            self._lack(group, f"exactly {count} conditions must be true, but there are only {len(found)}")
             return None
         if not self._affordable(group, len(found), count):
             return None
@@ -322,7 +326,7 @@ class ConditionReader:
     def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
-            self._lack(group, f"written out it is more than {MOST_TERMS} predicates")
+            self._lack(group, f"it expands to more than {MOST_TERMS} predicates")
         return self.terms <= MOST_TERMS
 
     def _joined(self, key: str, found: list[Condition | None]) -> Condition | None:
@@ -331,21 +335,21 @@ class ConditionReader:
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
     def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
-        """Return the variable of ``(?x - type)`` and the objects that it ranges over."""
+        """Return the variable in ``(?x - type)`` and the objects that it ranges over."""
         words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
         return words[0].plain, self.objects.get(words[2].plain, ())
 
     def _lack(self, group: BddlGroup, what: str) -> None:
-        """Record a missing element once."""
+        """Record a problem at a line unless it has already been recorded."""
         text = f"line {group.line}: {what}"
         if text not in self.missing:
             self.missing.append(text)
 
 
 def negated(condition: Condition | None) -> Condition | None:
-    """Return the negation of a condition, with `not` only before predicates; `Open` negates `Closed`."""
+    """Return the negation of a condition, in which `not` applies only to predicates and `Open` negates `Closed`."""
     if condition is None:
         return None
     if isinstance(condition, dict):

@@ -1,4 +1,4 @@
-"""Convert a BDDL problem to a task: bind names to scene objects, and convert regions to starts and goals."""
+"""Convert a BDDL problem to a task by binding names to scene objects and converting regions to conditions."""
 
 from __future__ import annotations
 
@@ -37,9 +37,17 @@ _SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
 def read_bddl_task(
     path: Path, _spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """Read the task of a BDDL file for a scene; ``bound`` of the options maps names that cannot be resolved to objects.
+    """Read a BDDL file as a task for a scene.
 
-    Raises :class:`ImportRefusedError`, which lists all missing elements with their lines.
+    Args:
+        path: BDDL file.
+        scene: Lowered scene of the task.
+        out: File to which the task will be written.
+        options: Options, of which ``scene`` is the scene document and ``bound`` assigns objects to unresolved names.
+
+    Raises:
+        ImportRefusedError: If the file is invalid or some elements cannot be resolved. The message lists all of these
+            elements with their lines.
     """
     problem = read_problem(path)
     draft = ModelDraft(problem.name, "BDDL")
@@ -50,11 +58,11 @@ def read_bddl_task(
         raise ImportRefusedError(
             path,
             f"{_counted(task.missing)}: {'; '.join(task.missing)}",
-            hint="add what is missing to the scene, or say what is meant with `--bind NAME=OBJECT`",
+            hint="add the missing items to the scene, or assign objects to names with `--bind NAME=OBJECT`",
         )
     instruction = problem.language or _sentence(problem.name)
     if not problem.language:
-        draft.assumed("instruction", "none is given; the name of the problem stands for it")
+        draft.assumed("instruction", "the file specifies none; derived from the name of the problem")
     assert options.scene is not None
     name = plain_name(path.stem if problem.domain == "robosuite" else re.sub(r"-\d+\Z", "", problem.name), "task")
     data: dict[str, Any] = {
@@ -67,7 +75,7 @@ def read_bddl_task(
 
 @dataclass
 class _TaskReader:
-    """State of converting one problem to a task."""
+    """Converts a BDDL problem to a task."""
 
     problem: BddlProblem
     scene: Scene
@@ -82,11 +90,11 @@ class _TaskReader:
             kinds.setdefault(kind.lower(), []).append(name)
         found = ConditionReader(self._atom, kinds, self.missing).condition(self.problem.goal, {})
         if found is None and not self.missing:
-            self._lack(self.problem.goal, "the goal is empty: every rollout would succeed at once")
+            self._lack(self.problem.goal, "the goal is empty, so every rollout would succeed immediately")
         return found
 
     def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Condition | None:
-        """Return one predicate of the goal; None if a part of it is missing."""
+        """Convert a predicate in the goal; return None if one of its parts cannot be resolved."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
         if name in (*OPEN, *CLOSE) and len(words) == 1:
@@ -96,7 +104,7 @@ class _TaskReader:
         if name in UNARY and len(words) == 1:
             item_name = self._object(group, words[0])
             return None if item_name is None else f"{UNARY[name]}({item_name})"
-        self._lack(group, f"there is no predicate for `{name}`")
+        self._lack(group, f"the predicate `{name}` is not supported")
         return None
 
     def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Condition | None:
@@ -109,37 +117,39 @@ class _TaskReader:
             return None
         text = f"{predicate}({item_name}, {target})"
         if group.head == "on" and self._put_in(target):
-            self.draft.changed(f"`{text}`", "the words say `in`, and LIBERO's `On` holds inside, too: either counts")
+            why = "the instruction says `in`, and LIBERO's `On` includes `Inside`, so either is accepted"
+            self.draft.changed(f"`{text}`", why)
             return {"any": (text, f"Inside({item_name}, {target})")}
         return text
 
     def _put_in(self, target: str) -> bool:
-        """Return True if the instruction asks to put something into the object."""
+        """Return True if the instruction says to put an object into ``target``."""
         noun = re.escape((self.scene.object(target.partition(".")[0]).category or target).rpartition("_")[2])
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
     def _in_rectangle(self, group: BddlGroup, item_name: str, region: BddlRegion) -> Condition | None:
-        """Convert a goal region on a table to its center, within the tolerance of `At`."""
+        """Convert a goal region on a table to an `At` condition for its center."""
         box = self._rectangle(group, region)
         if box is None:
             return None
         size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
-        self.draft.changed(f"region `{region.name}`", "a goal region is the tolerance of `At` about its middle", size)
+        why = "a goal region becomes `At` its center, with the tolerance of `At`"
+        self.draft.changed(f"region `{region.name}`", why, size)
         return f"At({item_name}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
     def _object(self, group: BddlGroup, name: str) -> str | None:
-        """Return the scene object for a name."""
+        """Return the scene object for a name, or None if there is no such object."""
         found = bind(name, self.problem, self.scene, self.bound)
         if found is None and name not in self.unbound:
             self.unbound.add(name)
             kind = self.problem.kinds.get(name)
             what = f" (a {_type(kind)})" if kind and kind != name else ""
-            self._lack(group, f"no object of the scene is `{name}`{what}")
+            self._lack(group, f"the scene has no object `{name}`{what}")
         return found
 
     def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
-        """Return the object or link for the name of an object or region."""
+        """Return the scene object or link that corresponds to the name of an object or region."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if region is None or owner is None:
@@ -151,11 +161,11 @@ class _TaskReader:
         if predicate == "Inside" and links:
             self._unclear(group, region, owner, links, found)
             return None
-        self.draft.changed(f"region `{name}`", f"it is taken for the whole of `{owner}`")
+        self.draft.changed(f"region `{name}`", f"it is interpreted as the entire object `{owner}`")
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:
-        """Return the joints for the name of an object or region, as ``object.joint``."""
+        """Return the joints, as ``object.joint``, that correspond to the name of an object or region."""
         region = self.problem.regions.get(name)
         owner = self._object(group, region.target if region is not None else name)
         if owner is None:
@@ -163,18 +173,18 @@ class _TaskReader:
         joints = {j.name: f"{j.name} {j.child}" for j in self.scene.object(owner).joints if j.has_axis}
         found = list(joints) if region is None or len(joints) < 2 else _alike(region, joints)
         if not joints:
-            self._lack(group, f"`{owner}` has no joint to open")
+            self._lack(group, f"`{owner}` has no joint that can be opened")
         elif region is not None and len(found) != 1:
             self._unclear(group, region, owner, list(joints), found)
             return []
         return [f"{owner}.{joint}" for joint in found]
 
     def _unclear(self, group: BddlGroup, region: BddlRegion, owner: str, there: list[str], found: list[str]) -> None:
-        which = f"both {' and '.join(found)} could be" if found else f"none of {', '.join(there)} is"
-        self._lack(group, f"{which} the `{region.name}` of `{owner}`")
+        which = f"both {' and '.join(found)} match" if found else f"none of {', '.join(there)} matches"
+        self._lack(group, f"{which} the region `{region.name}` of `{owner}`")
 
     def _rectangle(self, group: BddlGroup, region: BddlRegion) -> tuple[float, float, float, float] | None:
-        """Return the axis-aligned rectangle of a region in the world [m]."""
+        """Return the axis-aligned bounding rectangle (min x, min y, max x, max y) [m] of a region in the world."""
         owner = self._object(group, region.target)
         if owner is None or region.ranges is None:
             return None
@@ -185,7 +195,7 @@ class _TaskReader:
         return min(xs), min(ys), max(xs), max(ys)
 
     def start(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the differences of the start from the scene, and the reset regions."""
+        """Return the initial conditions that differ from the scene, and the reset regions."""
         joints: dict[str, dict[str, float]] = {}
         regions: dict[str, Any] = {}
         for group in self.problem.init:
@@ -198,7 +208,7 @@ class _TaskReader:
             elif group.head in ("on", "ontop") and len(words) == 2 and region is not None and region.ranges:
                 self._region(group, words[0], region, regions)
             else:
-                self.draft.dropped(f"`{group.head}` at the start", "the scene says how things stand")
+                self.draft.dropped(f"initial `{group.head}`", "the scene determines the initial state")
         return ({"joints": joints} if joints else {}), regions
 
     def _region(self, group: BddlGroup, name: str, region: BddlRegion, regions: dict[str, Any]) -> None:
@@ -207,7 +217,7 @@ class _TaskReader:
             return
         item = self.scene.object(item_name)
         if item.fixed:
-            self.draft.dropped(f"start of `{name}`", "it is fixed in the scene")
+            self.draft.dropped(f"initial region of `{name}`", "the object is fixed in the scene")
             return
         found: dict[str, Any] = {"x": (box[0], box[2]), "y": (box[1], box[3])}
         if region.yaw is not None:
@@ -225,7 +235,10 @@ class _TaskReader:
 
 
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
-    """Return the scene object for a name of a problem: bound explicitly, or matched by name, or by type and number."""
+    """Return the scene object for a name in a problem, or None if there is no match.
+
+    Names in ``bound`` take precedence, followed by objects with the same name and then by matches of type and number.
+    """
     if name in bound:
         return bound[name]
     there = {item.name: item for item in scene.objects}
@@ -241,18 +254,21 @@ def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]
 
 
 def _type(kind: str) -> str:
-    """Return the base word of a type: `mug` for the synset `mug.n.04`."""
+    """Return the base word of a type, such as `mug` for the synset `mug.n.04`."""
     return _SYNSET.sub(r"\1", kind)
 
 
 def _opened(item: SceneObject, name: str) -> float:
-    """Return the open position of a joint [rad or m]: the limit farther from zero, or a quarter turn without limits."""
+    """Return the position [rad or m] of an open joint.
+
+    This is the limit farther from zero, or a quarter turn if the joint has no limits.
+    """
     joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """Return the parts that match the name of a region: the part with that name, or parts that share a word with it."""
+    """Return the part with the name of a region or, if there is none, all parts whose names share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]
@@ -261,7 +277,7 @@ def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
 
 
 def _words(name: str) -> set[str]:
-    """Return the words of a name that distinguish parts from each other."""
+    """Return the words in a name that help distinguish parts from each other."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
 
 

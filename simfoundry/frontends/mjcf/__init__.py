@@ -1,4 +1,4 @@
-"""MJCF importer; MuJoCo itself parses and compiles the files."""
+"""The MJCF importer, which uses MuJoCo itself to parse and compile files."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

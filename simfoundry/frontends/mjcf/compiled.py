@@ -1,6 +1,7 @@
-"""Restore scenes from compiled MJCF, whose names and custom fields contain what MJCF cannot express.
+"""Restore scenes from MJCF files compiled by SimFoundry.
 
-See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.surroundings` for the fields.
+The names and custom fields in these files encode data that MJCF cannot express. See :mod:`simfoundry.backends.mjcf` for
+the names and :mod:`simfoundry.backends.mjcf.surroundings` for the fields.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.geometry.frames import Pose
 
 BACKGROUND = ":background:"
-"""Prefix of the visual geoms of the background."""
+"""Name prefix of visual geoms that belong to the background."""
 
 ROBOT, MOUNT = ":robot", ":mount"
-"""Suffixes of the custom texts with the fields of a robot and the parent frame of a camera."""
+"""Name suffixes of custom texts: ``ROBOT`` texts contain robot fields, and ``MOUNT`` texts a camera's parent frame."""
 
 
 @dataclass(frozen=True)
 class CustomFields:
-    """Custom texts and numbers of a compiled file, by name."""
+    """Custom texts and numbers in a compiled file, by name."""
 
     texts: Mapping[str, str]
     numbers: Mapping[str, list[float]]
 
 
 def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
-    """Return the custom texts and numbers of a compiled model; None if SimFoundry did not compile it."""
+    """Return the custom texts and numbers in a model, or None if it was not compiled by SimFoundry."""
     texts = {}
     for k in range(model.ntext):
         start, size = int(model.text_adr[k]), int(model.text_size[k])
@@ -45,7 +46,7 @@ def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
 
 
 def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: CustomFields) -> Any:
-    """Move the robots of a file and the cameras on them into ``draft``; return the model without them."""
+    """Add the robots in a model and their cameras to ``draft``, and return the model without them."""
     names = [name.removesuffix(ROBOT) for name in own.texts if name.endswith(ROBOT)]
     roots = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name): name for name in names}
     roots.pop(-1, None)
@@ -58,7 +59,7 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
         except ValueError:
             words = None
         if not isinstance(words, dict):
-            message = f"robot `{name}` is not as compiled files have it: its text is no JSON object"
+            message = f"robot `{name}` has invalid data for a compiled file: its custom text is not a JSON object"
             raise ImportRefusedError(path, message)
         draft.robots.append(robot_draft(path, name, words, Pose.of(model.body_pos[body], model.body_quat[body])))
     for k in range(model.ncam):
@@ -66,7 +67,7 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
         camera = read_camera(source, k) if robot is not None else None
         if camera is None or robot is None:
             continue
-        # On one of the robot's frames or, if no text names the frame, on the link to which it is attached.
+        # The camera is mounted on a frame of the robot or, if no text specifies the frame, on the body it belongs to.
         frame = own.texts.get(f"{camera.name}{MOUNT}", "")
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, f"{robot}.{frame}")
         if site >= 0:
@@ -74,7 +75,7 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
         body_name = source.name("body", int(model.cam_bodyid[k]))
         camera.mount = (robot, frame or body_name.removeprefix(robot).removeprefix("."))
         draft.cameras.append(camera)
-    # Robots come after objects, so that their coordinates are last.
+    # Robots come after all objects, so their joint coordinates are at the end of the states and can be truncated.
     spec = mujoco.MjSpec.from_file(str(path))
     states = [(key.name, list(key.qpos), list(key.ctrl)) for key in spec.keys]
     for key in list(spec.keys):
@@ -88,9 +89,13 @@ def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Cus
 
 
 def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], free_joints: Mapping[str, str]) -> None:
-    """Restore the scene names in a draft, and join the parts of each object.
+    """Restore the original names in a draft, and reunite the links of each object.
 
-    ``poses`` are the poses of MuJoCo's bodies in the world, and ``free_joints`` the names of free joints, by body.
+    Args:
+        draft: Draft to change in place.
+        own: Custom fields of the compiled file.
+        poses: Poses of MuJoCo's bodies in the world, by body name.
+        free_joints: Names of free joints, by body name.
     """
     owners = {body.name: body for body in draft.bodies if f"{body.name}:root" in own.texts}
     _rename_places(draft, owners, own)
@@ -119,7 +124,7 @@ def _link_name(qualified: str, owner: str, own: CustomFields) -> str:
 
 
 def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: CustomFields) -> None:
-    """Rename the links in cameras and excluded pairs."""
+    """Restore the link names in camera mounts and excluded contact pairs."""
 
     def place(end: LinkPath) -> LinkPath:
         owner = end[0].partition(".")[0]
@@ -137,7 +142,7 @@ def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: Cust
 
 
 def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
-    """Remove the object's prefix from the names of links, joints and parts."""
+    """Restore the names of links, joints and parts by removing the object's prefix."""
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
@@ -155,12 +160,12 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
         link.name = names[old]
     body.links = {link.name: link for link in body.links.values()}
     body.root = names[body.root]
-    # Pairs of its own links may have been added before or after renaming, so they can have either name.
+    # Pairs within the body may have been added before or after renaming, so they can use either name.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
 
 
 def _free_joint(body: BodyDraft, owner: str, own: CustomFields, poses: Mapping[str, Pose], name: str) -> JointDraft:
-    """Return the free joint between a loose part of an object and its parent link."""
+    """Return the free joint that connects a separate body to its parent link in the same object."""
     parent, zero = own.texts[f"{body.name}:parent"], own.numbers[f"{body.name}:zero"]
     X_PC = Pose.of(zero[:3], zero[3:])
     below = owner if parent == own.texts[f"{owner}:root"] else f"{owner}.{parent}"

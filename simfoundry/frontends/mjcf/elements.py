@@ -1,4 +1,4 @@
-"""Read elements of a MuJoCo model other than bodies: equalities, actuators, contact rules, cameras, lights, etc."""
+"""Read the elements of a MuJoCo model other than bodies, such as equalities, actuators, cameras and lights."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.asset import DriveSpec
 
 PICTURE = (640, 480)
-"""Default size [px] of a camera: that of MuJoCo's offscreen buffer."""
+"""Default image size of a camera [px], which is the size of MuJoCo's offscreen buffer."""
 
 MAX_PAIRS = 2_000_000
-"""Largest number of geom pairs that are compared for contact masks, which takes some seconds."""
+"""Maximum number of geom pairs to compare for contact masks, which takes a few seconds."""
 
 
 def add_elements(source: MjcfSource, roots: list[Element]) -> None:
-    """Add all elements other than bodies to the draft; unsupported elements are recorded."""
+    """Add all elements other than bodies to the draft, and record those that are unsupported."""
     _add_mimics(source)
     _add_drives(source)
     _add_exclusions(source)
@@ -36,7 +36,7 @@ def add_elements(source: MjcfSource, roots: list[Element]) -> None:
 
 
 def _add_mimics(source: MjcfSource) -> None:
-    """Add mimic joints; every other equality constraint is recorded as dropped."""
+    """Add mimic joints, and record all other equality constraints as dropped."""
     mujoco, model, joints = source.mujoco, source.model, source.joints
     for k in range(model.neq):
         kind = mujoco.mjtEq(model.eq_type[k])
@@ -48,7 +48,7 @@ def _add_mimics(source: MjcfSource) -> None:
         (body, follower), (other, leader) = joints[one], joints[two]
         constant, ratio, *higher = model.eq_data[k][:5].tolist()
         if body is not other or any(higher) or not bool(model.eq_active0[k]):
-            why = "only a joint that follows another of the same object, in proportion, can be expressed"
+            why = "only linear couplings between two joints in the same object can be expressed"
             source.draft.dropped(what, why)
             continue
         zero_one, zero_two = (float(model.jnt(joint).qpos0[0]) for joint in (one, two))
@@ -56,7 +56,7 @@ def _add_mimics(source: MjcfSource) -> None:
 
 
 def _add_drives(source: MjcfSource) -> None:
-    """Add position and velocity servos and joint springs as drives; every other actuator is recorded as dropped."""
+    """Add position servos, velocity servos and joint springs as drives, and record all other actuators as dropped."""
     mujoco, model, draft, joints = source.mujoco, source.model, source.draft, source.joints
     for k in range(model.nu):
         what, joint = f"actuator {source.label('actuator', k)}", int(model.actuator_trnid[k, 0])
@@ -68,11 +68,11 @@ def _add_drives(source: MjcfSource) -> None:
         )
         is_servo = is_servo and bias == 0 and min(stiffness, damping) >= 0 and stiffness + damping > 0
         if not is_servo or gain != (stiffness or damping) or joint not in joints or joints[joint][1].type == "ball":
-            draft.dropped(what, "only servos that hold a joint's position or velocity can be expressed")
+            draft.dropped(what, "only position and velocity servos on joints can be expressed")
             continue
         driven = joints[joint][1]
         if driven.drive is not None:
-            draft.dropped(what, "its joint has a drive already")
+            draft.dropped(what, "its joint already has a drive")
             continue
         gear = float(model.actuator_gear[k, 0])
         limit = float(np.abs(model.actuator_forcerange[k]).max()) * abs(gear) if model.actuator_forcelimited[k] else 0
@@ -84,34 +84,34 @@ def _add_drives(source: MjcfSource) -> None:
         stiffness = float(np.ravel(model.jnt_stiffness[joint])[0])
         what = f"spring of joint `{driven.name}`"
         if stiffness and (driven.type == "ball" or driven.drive is not None):
-            draft.dropped(what, "a joint has one drive, and no spring beside it")
+            draft.dropped(what, "a joint with a drive cannot also have a spring")
         elif stiffness:
             driven.drive = DriveSpec(stiffness=stiffness, target=float(model.jnt(joint).qpos_spring[0]))
-            draft.changed(what, "a drive holds the joint with the same stiffness")
+            draft.changed(what, "it is represented by a drive with the same stiffness")
 
 
 def _add_exclusions(source: MjcfSource) -> None:
-    """Add the pairs of bodies in `<exclude>`, except those of compiled proxy geoms, and those that masks exclude."""
+    """Add the pairs of bodies that `<exclude>` elements (except those of compiled proxy geoms) and masks exclude."""
     for k, signature in enumerate(source.model.exclude_signature.tolist()):
         one, two = signature >> 16, signature & 0xFFFF
         if not source.is_own or (one in source.owners and two in source.owners):
             _exclude(source, one, two, f"exclusion {source.label('exclude', k)}")
-    if not source.is_own:  # in compiled files, pairs and masks follow from the contact parameters of the geoms
+    if not source.is_own:  # in compiled files, pairs and masks are derived from contact parameters
         _add_masks(source)
 
 
 def _add_masks(source: MjcfSource) -> None:
-    """Add the pairs of bodies that contact masks exclude; masks that differ within a body are recorded as dropped."""
+    """Add the pairs of bodies that contact masks exclude, and record masks that differ within a body as dropped."""
     model, draft, owners = source.model, source.draft, source.owners
     if model.npair:
-        draft.inexpressible("contact pairs with parameters of their own", f"{model.npair}")
+        draft.inexpressible("contact pairs with explicit parameters", f"{model.npair}")
     types, affinities = model.geom_contype, model.geom_conaffinity
     colliders = np.flatnonzero(types | affinities).tolist()
     masks = {(int(types[g]), int(affinities[g])) for g in colliders}
     if all(a[0] & b[1] or b[0] & a[1] for a in masks for b in masks):
         return
     if len(colliders) ** 2 > MAX_PAIRS:
-        draft.dropped("contact masks", "there are too many geoms to look at")
+        draft.dropped("contact masks", "there are too many geoms to compare")
         return
     by_body: dict[int, list[int]] = {}
     for geom in colliders:
@@ -129,14 +129,14 @@ def _add_masks(source: MjcfSource) -> None:
         else:
             _exclude(source, one, two, "contact masks")
     if divided:
-        why = "contact is left out between links of one object, whole or not at all"
+        why = "contact can be excluded only between entire links"
         draft.dropped("contact masks", why, f"{divided} pairs of bodies")
 
 
 def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
     owners = source.owners
     if one not in owners or two not in owners:
-        source.draft.dropped(what, "contact is left out between links of objects, not with the world")
+        source.draft.dropped(what, "contact can be excluded only between links of objects, not with the world")
         return
     body, pair = owners[one][0], (owners[one][1], owners[two][1])
     if body is not owners[two][0]:
@@ -148,7 +148,7 @@ def _exclude(source: MjcfSource, one: int, two: int, what: str) -> None:
 
 
 def _add_cameras(source: MjcfSource) -> None:
-    """Add cameras that are fixed to the world or to a body."""
+    """Add the cameras that are fixed to the world or to a body."""
     for k, body in enumerate(source.model.cam_bodyid.tolist()):
         camera = read_camera(source, k)
         if camera is None:
@@ -161,21 +161,21 @@ def _add_cameras(source: MjcfSource) -> None:
 
 
 def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
-    """Return camera ``k`` in the frame of its body; record it and return None if it is not a pinhole camera."""
+    """Return camera ``k`` in the frame of its body, or record it and return None if it is not a pinhole camera."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     name = source.name("camera", k) or f"camera_{k}"
     if model.cam_mode[k] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
-        draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
-    # MuJoCo 3.5 replaced the flag by an enum of projections, in which 1 is orthographic.
+        draft.changed(f"camera `{name}`", "it tracks a target in MuJoCo; here it keeps its pose in its body")
+    # MuJoCo 3.5 replaced the flag with an enum of projections, in which 1 is orthographic.
     projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
     if projections[k] == 1:
-        draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
+        draft.dropped(f"camera `{name}`", "it is orthographic, and only pinhole cameras are supported")
         return None
     X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
     width, height = model.cam_resolution[k].tolist()
     if width <= 1 or height <= 1:
         width, height = PICTURE
-        draft.assumed(f"picture size of camera `{name}`", f"none is given; {width} x {height} px")
+        draft.assumed(f"image size of camera `{name}`", f"the file specifies none; {width} x {height} px is assumed")
     fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
     camera = CameraDraft(name, (width, height), fy, fy, X_BC)
     across, up = model.cam_sensorsize[k].tolist()
@@ -188,18 +188,18 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
 
 
 def _add_lights(source: MjcfSource) -> None:
-    """Add lights that are fixed to the world."""
+    """Add the lights that are fixed to the world."""
     mujoco, model, draft = source.mujoco, source.model, source.draft
     for k in range(model.nlight):
         light, name = model.light(k), source.name("light", k) or f"light_{k + 1}"
         if model.light_bodyid[k] != 0:
-            draft.dropped(f"light `{name}`", "it is carried by a body, and lights stand still here")
+            draft.dropped(f"light `{name}`", "it is attached to a body, and only static lights are supported")
             continue
         if not model.light_active[k]:
             continue
         is_distant = model.light_type[k] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
         if not is_distant and model.light_cutoff[k] < 90:
-            draft.changed(f"spotlight `{name}`", "it shines all around: a point light")
+            draft.changed(f"spotlight `{name}`", "it becomes a point light, which shines in all directions")
         intensity, color = split_color(light.diffuse.tolist())
         kind = "distant" if is_distant else "point"
         direction, xyz = tuple(light.dir.tolist()), tuple(light.pos.tolist())
@@ -207,25 +207,25 @@ def _add_lights(source: MjcfSource) -> None:
 
 
 def split_color(values: Sequence[float]) -> tuple[float, tuple[float, float, float]]:
-    """Return the intensity of a light and its color, whose largest channel is 1, from red, green and blue."""
+    """Split an RGB value into the intensity of a light and a color whose largest channel is 1."""
     rgb = [max(0.0, v) for v in values]
     strength = max(*rgb, 1e-9)  # a black light has no color
     return max(rgb), (rgb[0] / strength, rgb[1] / strength, rgb[2] / strength)
 
 
 def _note_left_out(source: MjcfSource, roots: list[Element]) -> None:
-    """Record every omitted element by kind and name."""
+    """Record all other elements that are not imported, by kind and name."""
     model, draft = source.model, source.draft
     for kind in ("tendon", "sensor", "site", "flex", "skin", "hfield", "numeric", "text", "tuple"):
         for k in range(int(getattr(model, f"n{kind}", 0))):
             draft.inexpressible(f"{kind} {source.label(kind, k)}")
     for k in range(1, model.nkey):
-        draft.dropped(f"keyframe {source.label('key', k)}", "a scene has one state; the first is taken")
+        draft.dropped(f"keyframe {source.label('key', k)}", "a scene has only one state; the first keyframe is used")
     settings: Counter[str] = Counter()
     for element in (element for root in roots for element in root.walk() if element.tag in ("option", "flag")):
         settings.update(f"{element.tag} `{n}`" for n in element.attributes if (element.tag, n) != ("option", "gravity"))
     for what in sorted(settings):
-        draft.dropped(what, "how a simulator computes is for its target to say")
+        draft.dropped(what, "simulator settings are part of a target, not a scene")
     for body in np.flatnonzero(model.body_gravcomp).tolist():
         draft.inexpressible(f"gravity compensation of body {source.label('body', body)}")
     geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity)

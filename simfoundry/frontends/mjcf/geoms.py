@@ -1,4 +1,4 @@
-"""Read the geoms of a compiled MuJoCo model as parts of links."""
+"""Convert the geoms in a compiled MuJoCo model to parts of links."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, R
 
 @dataclass(eq=False)
 class MjcfSource:
-    """The module mujoco, a model with its data at the first keyframe, and the resulting draft.
+    """A MuJoCo model to convert, with its data at the first keyframe, and the resulting draft.
 
-    ``is_own`` is True for files that SimFoundry compiled. ``owners`` contains for each body its draft, its link, and
-    the pose of the link frame in the body frame; ``joints`` contains for each joint the draft of its body and its own.
+    ``is_own`` is True for files that SimFoundry compiled. ``owners`` maps each body to its body draft, its link, and
+    the pose of the link frame in the body frame. ``joints`` maps each joint to its body draft and its joint draft.
     """
 
     mujoco: Any
@@ -41,31 +41,31 @@ class MjcfSource:
     joints: dict[int, tuple[BodyDraft, JointDraft]] = field(default_factory=dict)
 
     def name(self, kind: str, number: int) -> str:
-        """Return the name of an element, empty if it has none; ``kind`` is a MuJoCo object type such as `body`."""
+        """Return the name of an element, or an empty string; ``kind`` is a MuJoCo object type such as `body`."""
         return self.mujoco.mj_id2name(self.model, getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), number) or ""
 
     def label(self, kind: str, number: int) -> str:
-        """Return the name of an element for a message, or its number."""
+        """Return the name of an element, or its number if it is unnamed, for use in messages."""
         name = self.name(kind, number)
         return f"`{name}`" if name else f"number {number + 1}"
 
 
 HIDDEN_GROUP = 3
-"""First group that MuJoCo's viewers hide by default; geoms in it are for contact only."""
+"""First geom group that MuJoCo's viewers hide by default; geoms in this group or above are for contact only."""
 
 UNSET = (0.5, 0.5, 0.5, 1.0)
 """Default color of a geom in MuJoCo."""
 
 
 class MjcfGeoms:
-    """Converts geoms to parts; a mesh shared by several geoms is written once."""
+    """Converts geoms to parts; a mesh that several geoms share is written only once."""
 
     def __init__(self, source: MjcfSource) -> None:
         self.source, self.mujoco, self.model, self.draft = source, source.mujoco, source.model, source.draft
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
 
     def part(self, geom: int) -> PartDraft | None:
-        """Return a geom as a part, posed in its body; record an unsupported geom and return None."""
+        """Return a geom as a part with its pose in the body, or record the geom and return None if unsupported."""
         model, types = self.model, self.mujoco.mjtGeom
         name = self.source.name("geom", geom)
         kind = types(model.geom_type[geom])
@@ -90,13 +90,15 @@ class MjcfGeoms:
                 geometry, X_BG = self.mesh(geom, X_BG)
             case _:
                 kind_name = kind.name.removeprefix("mjGEOM_").lower()
-                self.draft.dropped(f"geom `{name or geom}`", f"the scene language has no {kind_name}")
+                self.draft.dropped(
+                    f"geom `{name or geom}`", f"the scene language does not support the geom type {kind_name}"
+                )
                 return None
         use = self.use(geom)
         return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
-        """Return the use of a geom: visual if it has no contact, collision if viewers hide it."""
+        """Return how a geom is used: `visual` if it never collides, `collision` if viewers hide it, or `both`."""
         model = self.model
         touches = bool(model.geom_contype[geom]) or bool(model.geom_conaffinity[geom])
         if not touches:
@@ -105,7 +107,7 @@ class MjcfGeoms:
         return "collision" if hidden else "both"
 
     def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
-        """Return the part with its contact parameters and color."""
+        """Add the contact parameters and the color of a geom to its part, and return the part."""
         model = self.model
         if part.collides:
             sliding, spinning, rolling = model.geom_friction[geom].tolist()
@@ -119,14 +121,14 @@ class MjcfGeoms:
                 part.contact["rolling_friction"] = rolling
         material = int(model.geom_matid[geom])
         if self.texture(material) >= 0 and not isinstance(part.geometry, MeshDraft):
-            self.draft.dropped(f"texture of geom `{part.name}`", "only meshes have textures")
+            self.draft.dropped(f"texture of geom `{part.name}`", "only meshes can have textures")
         color = self.rgba(geom)
         if color != UNSET and part.use != "collision":
             part.color = color
         return part
 
     def rgba(self, geom: int) -> Rgba:
-        """Return the color of a geom: its own, or that of its material."""
+        """Return the color of a geom, which may come from its material."""
         model, material = self.model, int(self.model.geom_matid[geom])
         rgba = model.geom_rgba[geom].tolist()
         if tuple(rgba) == UNSET and material >= 0:
@@ -135,7 +137,7 @@ class MjcfGeoms:
         return r, g, b, a
 
     def texture(self, material: int) -> int:
-        """Return the id of the color texture of a material; -1 if none can be applied to a mesh."""
+        """Return the id of a material's color texture, or -1 if it has no texture that can be applied to a mesh."""
         if material < 0:
             return -1
         roles = np.ravel(self.model.mat_texid[material])
@@ -145,7 +147,7 @@ class MjcfGeoms:
         return texture if flat else -1
 
     def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:
-        """Return the mesh of a geom in the frame of its file, and the pose of that frame."""
+        """Return the mesh of a geom in the frame of its file, and the pose of that frame in the body."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
         texture = self.texture(int(model.geom_matid[geom]))
@@ -156,14 +158,14 @@ class MjcfGeoms:
         return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
     def baked(self, geom: int) -> MeshPart:
-        """Return the mesh of a geom in the frame of its body, with its color and texture."""
+        """Return the mesh of a geom, including its color and texture, in the frame of its body."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         texture = self.texture(int(model.geom_matid[geom]))
         part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))
         return replace(part, rgba=self.rgba(geom))
 
     def mesh_part(self, mesh: int, texture: int, X_FM: Pose) -> MeshPart:
-        """Return a mesh in the frame F, given the pose ``X_FM`` of MuJoCo's mesh frame in F."""
+        """Return a mesh expressed in frame F, given the pose ``X_FM`` of MuJoCo's mesh frame in F."""
         model = self.model
         start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         vertices = X_FM.apply(np.array(model.mesh_vert[start : start + count], dtype=np.float64))
@@ -179,7 +181,7 @@ class MjcfGeoms:
         return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
 
     def png(self, texture: int) -> bytes:
-        """Return a texture as a PNG."""
+        """Encode a texture as PNG."""
         from PIL import Image
 
         model = self.model
@@ -192,15 +194,15 @@ class MjcfGeoms:
         return stream.getvalue()
 
     def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
-        """Return a mesh for an ellipsoid with three radii [m]."""
+        """Return a mesh that approximates an ellipsoid with three radii [m]."""
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=3)
-        self.draft.changed(f"ellipsoid `{name}`", "a mesh of 1280 triangles stands for it")
+        self.draft.changed(f"ellipsoid `{name}`", "it is represented by a mesh with 1280 triangles")
         part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
         return mesh_of_parts([part], plain_name(name, "ellipsoid"))
 
 
 def _shortened(vertices: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Round coordinates to single precision, which MuJoCo uses, to remove the noise of rotations."""
+    """Round coordinates to MuJoCo's single precision, which removes noise introduced by rotations."""
     return np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))

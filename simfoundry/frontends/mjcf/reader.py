@@ -1,4 +1,4 @@
-"""Read MJCF files compiled by MuJoCo itself, so that defaults, includes and frames keep their meaning."""
+"""Read MJCF files, using MuJoCo to compile them so that defaults, includes and frames keep their meaning."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.geometry.frames import Pose
 
 MAX_INCLUDES = 100
-"""Largest number of included files, which stops infinite chains; public models include at most a tenth of it."""
+"""Maximum number of included files, which stops infinite chains; public models include at most a tenth of that."""
 
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
@@ -32,45 +32,48 @@ _NUMBERS = (
     "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
     "light_diffuse", "light_cutoff",
 )  # fmt: skip
-"""Fields of a model that are read and must be finite; MuJoCo accepts NaN for most of them."""
+"""Model fields that the importer reads and that must be finite; MuJoCo accepts NaN in most of them."""
 
 _KINDS = {"jnt": "joint", "mat": "material", "cam": "camera"}
-"""Kinds of elements by field prefix, for prefixes that differ from the kind."""
+"""Element kinds by field prefix, for prefixes that differ from the name of the kind."""
 
 NO_LENGTH = 1e-9
-"""Vectors shorter than this have no direction; MuJoCo normalizes all others."""
+"""Minimum length of vectors with a direction; MuJoCo normalizes all longer vectors."""
 
 NOISE = 1e-12
-"""Products of inertia below this fraction of the trace are rounding noise of rotated axes."""
+"""Products of inertia below this fraction of the trace are rounding noise from rotating the axes."""
 
 
 def read_mjcf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the scene of an MJCF file; raises :class:`ImportRefusedError` with MuJoCo's reason if it is invalid."""
+    """Read the scene in an MJCF file.
+
+    Raises :class:`ImportRefusedError`, with MuJoCo's error message if MuJoCo rejects the file.
+    """
     import mujoco
 
     if options.density is not None:
-        message = "every geom of an MJCF file has a density, MuJoCo's own where none is given"
-        hint = "leave out `--density`, and write `<default><geom density=…/></default>` into the file"
+        message = "`--density` does not apply to MJCF, because every geom has a density; MuJoCo provides a default"
+        hint = "remove `--density`, and add `<default><geom density=…/></default>` to the file instead"
         raise ImportRefusedError(path, message, 0, hint)
     roots = _checked_files(path, options.packages)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         reason = " ".join(str(error).removeprefix("Error: ").split())
-        raise ImportRefusedError(path, f"MuJoCo refuses it: {reason[:300]}") from None
+        raise ImportRefusedError(path, f"MuJoCo rejects the file: {reason[:300]}") from None
     _check_numbers(path, mujoco, model, roots)
     return _MjcfReader(path, mujoco, model, roots).read()
 
 
 def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
-    """Return the XML of a file and its includes; they must not refer to files outside the folders of the model."""
+    """Return the XML roots of a file and its includes, which may refer only to files in the folders of the model."""
     search = FileSearch(path, packages)
     roots: list[Element] = []
     waiting = [path]
     while waiting:
         file = waiting.pop()
         if len(roots) > MAX_INCLUDES:
-            raise ImportRefusedError(path, f"it includes more than {MAX_INCLUDES} files")
+            raise ImportRefusedError(path, f"the model includes more than {MAX_INCLUDES} files")
         root = read_xml(file)
         roots.append(root)
         includes = (element for element in root.walk() if element.tag == "include")
@@ -82,14 +85,14 @@ def _checked_files(path: Path, packages: Mapping[str, Path]) -> list[Element]:
         if element.tag in ("mesh", "texture", "hfield", "skin", "model", "flexcomp") and element.get("file"):
             _check_file(search, path, element, folders)
         elif element.tag == "plugin":
-            raise element.refused("it asks for a plugin, which is code", "remove it")
+            raise element.refused("the model requires a plugin, which would execute code", "remove this element")
     return roots
 
 
 def _check_file(search: FileSearch, path: Path, element: Element, folders: list[Path]) -> None:
-    """Reject a file that is missing or outside the folders of the model."""
+    """Raise an error if a referenced file is missing or outside the allowed folders."""
     reference, missing = element.need("file"), NotFoundError("does not exist")
-    beside = dict.fromkeys((path.resolve().parent, element.file.resolve().parent))  # MuJoCo looks beside both
+    beside = dict.fromkeys((path.resolve().parent, element.file.resolve().parent))  # MuJoCo searches both
     for here, folder in itertools.product(beside, folders):
         try:
             search.find((folder / reference).as_posix(), here)
@@ -102,16 +105,16 @@ def _check_file(search: FileSearch, path: Path, element: Element, folders: list[
 
 
 def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
-    """Reject a model with non-finite numbers or with rotations or axes of zero length."""
+    """Raise an error if the model has non-finite numbers, or rotations or axes of zero length."""
     for field in _NUMBERS:
         rows = np.asarray(getattr(model, field), dtype=np.float64)
         rows = rows.reshape(len(rows), math.prod(rows.shape[1:]))
         bad, problem = ~np.isfinite(rows).all(axis=1), "is not finite"
         if field.endswith("quat"):
-            bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is no rotation"
+            bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is not a valid rotation"
         elif field == "jnt_axis":
             moves = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)))
-            bad, problem = bad | (moves & (np.linalg.norm(rows, axis=1) < NO_LENGTH)), "is no direction"
+            bad, problem = bad | (moves & (np.linalg.norm(rows, axis=1) < NO_LENGTH)), "is not a valid direction"
         if bad.any():
             number = int(np.argmax(bad))
             prefix, _, word = field.partition("_")
@@ -125,7 +128,7 @@ def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) ->
 
 
 class _MjcfReader:
-    """State of converting a compiled model to a draft."""
+    """Converts a compiled model to a draft."""
 
     def __init__(self, path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
         self.path, self.mujoco, self.roots = path, mujoco, roots
@@ -136,23 +139,23 @@ class _MjcfReader:
         self.data = mujoco.MjData(model)
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
-            mujoco.mj_normalizeQuat(model, self.data.qpos)  # one without a length is the identity there
+            mujoco.mj_normalizeQuat(model, self.data.qpos)  # turns a zero quaternion into the identity
         mujoco.mj_kinematics(model, self.data)
         self.source = MjcfSource(mujoco, model, self.data, self.draft, self.own is not None)
         self.geoms = MjcfGeoms(self.source)
         self.free_joints: dict[str, str] = {}
-        """Name of the free joint of each body."""
+        """Names of free joints, by body name."""
         self.taken: dict[str, set[str]] = {}
         self.names = {"body": self.element_names("body", model.nbody), "joint": self.element_names("joint", model.njnt)}
 
     def element_names(self, kind: str, count: int) -> list[str]:
-        """Return unique names for the elements of a kind: their own, or the kind with a number."""
+        """Return a unique name for each element of a kind; unnamed elements are named by kind and number."""
         own = [self.source.name(kind, k) for k in range(count)]
         self.taken[kind] = set(own)
         return [name or self.new_name(kind, f"{kind}_{k}") for k, name in enumerate(own)]
 
     def new_name(self, kind: str, wish: str) -> str:
-        """Return and reserve a name based on ``wish`` for an additional link or joint."""
+        """Return and reserve a unique name based on ``wish`` for an additional link or joint."""
         name = free_name(wish, self.taken[kind])
         self.taken[kind].add(name)
         return name
@@ -170,7 +173,7 @@ class _MjcfReader:
                 X_LB = X_BL.inverse() @ Pose.of(model.body_pos[body], model.body_quat[body])
                 self.chain(draft, body, parent, X_LB, self.joints_of(body))
         if not self.draft.bodies:
-            raise ImportRefusedError(self.path, "it has no body and no geom")
+            raise ImportRefusedError(self.path, "the model has no bodies and no geoms")
         add_elements(self.source, self.roots)
         if self.own is not None:
             poses = {self.names["body"][b]: self.body_pose(b) for b in range(1, model.nbody)}
@@ -179,7 +182,7 @@ class _MjcfReader:
         return self.draft
 
     def world(self) -> None:
-        """Convert each geom of the world body to a fixed object, and the background of compiled scenes to one mesh."""
+        """Convert each geom in the world body to a fixed object, and the background of a compiled scene to a mesh."""
         model = self.model
         background = []
         for geom in np.flatnonzero(model.geom_bodyid == 0).tolist():
@@ -198,7 +201,7 @@ class _MjcfReader:
             self.draft.background = mesh_of_parts(background, "background")
 
     def root(self, body: int) -> None:
-        """Convert a child of the world: a free body, a fixed body, or one with joints on a static base."""
+        """Convert a child of the world body, which may be free, fixed, or connected to a static base by joints."""
         model, name, joints = self.model, self.names["body"][body], self.joints_of(body)
         unique = name if name == self.draft.free_name(name) else f"{name}_body"
         free = [model.jnt_type[j] for j in joints] == [self.mujoco.mjtJoint.mjJNT_FREE]
@@ -211,7 +214,7 @@ class _MjcfReader:
             draft.links[name] = self.new_link(body, name, Pose.of())
             self.source.owners[body] = (draft, name, Pose.of())
             if int(model.body_mocapid[body]) >= 0:
-                self.draft.changed(f"mocap body `{name}`", "nothing moves it by hand here; it is fixed")
+                self.draft.changed(f"mocap body `{name}`", "mocap bodies are not supported, so it is fixed")
             return
         base = self.base_name(body)
         X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
@@ -220,20 +223,20 @@ class _MjcfReader:
         self.chain(draft, body, base, Pose.of(), joints)
 
     def note_free_dynamics(self, joint: int) -> None:
-        """Record damping, friction and armature of a free joint as dropped, because free bodies have no joint."""
+        """Record the damping, friction and armature of a free joint as dropped, because free bodies have no joint."""
         what = f"free joint `{self.names['joint'][joint]}`"
         for field, word in (("armature", "armature"), ("damping", "damping"), ("frictionloss", "friction")):
             value = float(getattr(self.model.jnt(joint), field).flat[0])
             if value:
-                self.draft.dropped(f"{word} of {what}", "what is free moves without one", f"{value:.4g}")
+                self.draft.dropped(f"{word} of {what}", "free bodies have no joint", f"{value:.4g}")
 
     def base_name(self, body: int) -> str:
-        """Return a name for the base link of a world body that no descendant has."""
+        """Return a name for the base link below the world body that differs from the names of all its descendants."""
         below = {name for b, name in enumerate(self.names["body"]) if b and self.model.body_rootid[b] == body}
         return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
     def chain(self, draft: BodyDraft, body: int, parent: str, X_PB: Pose, joints: list[int]) -> None:
-        """Convert a body with its joints; all joints except the last get an intermediate link of negligible mass."""
+        """Convert a body and its joints; if it has several joints, insert links with negligible mass between them."""
         model, name = self.model, self.names["body"][body]
         if not joints:
             draft.links[name] = self.new_link(body, name, Pose.of())
@@ -251,14 +254,14 @@ class _MjcfReader:
             anchor, parent, X_PB = model.jnt_pos[joint], link, Pose.of()
             if not is_last:
                 draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
-                why = "a body has one joint here; a link of almost no mass joins two joints of one body"
+                why = "a link has only one parent joint here, so a link with negligible mass was inserted"
                 self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         X_BL = Pose.of(model.jnt_pos[joints[-1]])
         draft.links[name] = self.new_link(body, name, X_BL)
         self.source.owners[body] = (draft, name, X_BL)
 
     def joint(self, joint: int, parent: str, child: str, X_PL: Pose) -> JointDraft:
-        """Convert a joint with MuJoCo's coordinate: its zero is that of the file, independent of `ref`."""
+        """Convert a joint and preserve its coordinate: positions mean the same as in MuJoCo, regardless of `ref`."""
         model, kinds = self.model, self.mujoco.mjtJoint
         kind, name, source = model.jnt_type[joint], self.names["joint"][joint], model.jnt(joint)
         axis = np.array(source.axis, dtype=np.float64)
@@ -294,7 +297,7 @@ class _MjcfReader:
         return Pose.of(self.data.xpos[body], self.data.xquat[body])
 
     def new_link(self, body: int, name: str, X_BL: Pose) -> LinkDraft:
-        """Return the link of a body; ``X_BL`` is the pose of its frame in the body frame."""
+        """Create and return the link for a body; ``X_BL`` is the pose of the link frame in the body frame."""
         model, X_LB = self.model, X_BL.inverse()
         link = LinkDraft(name, mass=float(model.body_mass[body]))
         for geom in np.flatnonzero(model.geom_bodyid == body).tolist():

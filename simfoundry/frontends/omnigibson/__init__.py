@@ -1,4 +1,4 @@
-"""Importer of OmniGibson scenes and their tasks from the authors' release."""
+"""The importer for OmniGibson scenes and tasks from the authors' release."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

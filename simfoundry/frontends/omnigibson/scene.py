@@ -1,7 +1,7 @@
-"""Read scenes of the authors' release: an OmniGibson scene JSON with its object list and URDF folders.
+"""Read scenes from the authors' release: an OmniGibson scene JSON with its object list and URDF folders.
 
-Peculiarities of the format: quaternions have w last, masses are only in the URDF, friction coefficients in the object
-list, joint positions have no names, and the table is an infinite plane.
+In this format, quaternions have w last, masses are only in the URDF, friction coefficients are in the object list,
+joint positions are unnamed, and the table is an infinite plane.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 TABLE = (4.0, 4.0, 0.04)
-"""Size [m] of the box that represents the ground plane: larger than the reach of a robot; its top is the plane."""
+"""Size [m] of the box whose top represents the ground plane; it is larger than a robot's reach."""
 
 ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM": "yam"}
-"""Robots of the release and the corresponding known robots."""
+"""Known robots, by the names of the corresponding robots in the release."""
 
 LEVELS = 5
-"""Number of parent folders that are searched for assets: scenes are four levels below the root of the release."""
+"""Number of parent folders to search for assets; scenes are four levels below the root of the release."""
 
 
 def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the scene of a JSON file of the release; raises :class:`ImportRefusedError`."""
+    """Read the scene in a JSON file from the release; raise :class:`ImportRefusedError` if it is invalid."""
     return _SceneReader(path, options).read()
 
 
 class _SceneReader:
-    """State of reading one scene file."""
+    """Reads a single scene file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.options, self.packages = path, options, options.packages
@@ -56,15 +56,15 @@ class _SceneReader:
         self.listed = self.object_list()
 
     def at(self, data: Any, *keys: str) -> dict[str, Any]:
-        """Return a mapping inside the file."""
+        """Return the mapping at ``keys`` in ``data``, or raise an error if there is none."""
         for key in keys:
             data = data.get(key) if isinstance(data, dict) else None
         if not isinstance(data, dict):
-            raise ImportRefusedError(self.path, f"it has no `{'.'.join(keys)}`: it is no scene of OmniGibson")
+            raise ImportRefusedError(self.path, f"the file has no `{'.'.join(keys)}`, so it is not an OmniGibson scene")
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """Return the entries of `scene_objects_info.json` by object name."""
+        """Return the entries in `scene_objects_info.json` by object name."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:
@@ -73,7 +73,7 @@ class _SceneReader:
                 listed = read_json(file)
                 entries = listed.values() if isinstance(listed, dict) else []
                 return {str(e["name"]): e for e in entries if isinstance(e, dict) and "name" in e}
-        why = "scene_objects_info.json is not found; 0.5, as the evaluation takes it"
+        why = "scene_objects_info.json was not found; 0.5 is assumed, as in the release's evaluation"
         self.draft.assumed("friction of the objects", why)
         return {}
 
@@ -86,10 +86,10 @@ class _SceneReader:
             elif kind in ("DatasetObject", "USDObject") and "background" not in name:
                 self.object(name, args, state)
             else:
-                self.draft.dropped(f"`{name}`", "only objects and robots are read", kind)
+                self.draft.dropped(f"`{name}`", "only objects and robots are supported", kind)
         self.plane()
         if not self.draft.bodies:
-            raise ImportRefusedError(self.path, "it has no object")
+            raise ImportRefusedError(self.path, "the scene has no objects")
         repair_masses(self.draft, str(self.path))
         return self.draft
 
@@ -106,11 +106,11 @@ class _SceneReader:
             raise ImportRefusedError(self.path, message) from None
         speeds = [float(v) for key in ("lin_vel", "ang_vel") for v in root.get(key) or ()]
         if any(abs(v) > 1e-3 for v in speeds):
-            self.draft.dropped(f"velocity of `{name}`", "a scene starts at rest")
+            self.draft.dropped(f"velocity of `{name}`", "scenes always start at rest")
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """Add an object from its URDF, with friction and pose from other files."""
+        """Add an object from its URDF, with friction and pose from the other files."""
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
         draft = read_urdf(self.urdf(name, category, model, args), self.options)
@@ -126,7 +126,7 @@ class _SceneReader:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                why = "it is a record; what counts stands in the URDF"
+                why = "it is only informative; the URDF contains the actual values"
                 self.draft.dropped(f"`{word}` of `{name}` in the scene", why)
         if args.get("visual_only"):
             for link in body.links.values():
@@ -134,7 +134,7 @@ class _SceneReader:
         self.draft.bodies.append(body)
 
     def urdf(self, name: str, category: str, model: str, args: dict[str, Any]) -> Path:
-        """Return the URDF of an object in the folders of the release."""
+        """Find the URDF of an object in the folders of the release."""
         usd = str(args.get("usd_path") or "")
         parts = Path(usd).parts
         if "objects" in parts and len(parts) >= parts.index("objects") + 3:
@@ -150,19 +150,19 @@ class _SceneReader:
         for folder in [*named, *folders]:
             if (folder / inside).is_file():
                 return folder / inside
-        hint = f"name the folder that holds `objects`: `--package {dataset}=PATH`"
-        raise ImportRefusedError(self.path, f"the URDF of `{name}` is not found: {inside.as_posix()}", hint=hint)
+        hint = f"specify the folder that contains `objects` with `--package {dataset}=PATH`"
+        raise ImportRefusedError(self.path, f"could not find the URDF of `{name}`: {inside.as_posix()}", hint=hint)
 
     def scale(self, name: str, body: BodyDraft, scale: Any) -> None:
-        """Scale a body uniformly; a mass given in the file does not change, as in OmniGibson."""
+        """Scale a body uniformly; a mass specified in the file does not change, as in OmniGibson."""
         factors = [float(v) for v in scale] if isinstance(scale, list) else [float(scale or 1.0)] * 3
         if all(abs(f - 1) < 1e-9 for f in factors):
             return
         s = factors[0]
         if not s > 0 or any(abs(f - s) > 1e-6 * s for f in factors):
-            hint = "only uniform scales can be expressed"
+            hint = "only uniform scales are supported"
             raise ImportRefusedError(self.path, f"`{name}` is scaled by {factors}", hint=hint)
-        self.draft.changed(f"scale of `{name}`", "its parts are scaled; its mass stays", f"{s:g}")
+        self.draft.changed(f"scale of `{name}`", "its parts are scaled, but its mass is unchanged", f"{s:g}")
         for joint in body.joints:
             joint.X_PC = Pose.of(joint.X_PC.p * s, joint.X_PC.q)
             if joint.type == "prismatic" and joint.limits is not None:
@@ -182,7 +182,7 @@ class _SceneReader:
                     link.contact["friction"] = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
-        """Set the joint positions, which the file lists without names, in the breadth-first order of PhysX."""
+        """Set the joint positions, which the file lists without names in PhysX's breadth-first order."""
         listed = [float(v) for v in state.get("joint_pos") or ()]
         order, todo = [], [body.root]
         while todo:
@@ -192,24 +192,26 @@ class _SceneReader:
         if not any(abs(v) > 1e-6 for v in listed):
             return
         if len(listed) != len(order):
-            why = "the file lists them without names, and another number of them than the URDF has joints"
-            self.draft.dropped(f"joint positions of `{name}`", why, f"{len(listed)}, not {len(order)}")
+            why = "the file lists them without names, and their number differs from the number of joints in the URDF"
+            self.draft.dropped(f"joint positions of `{name}`", why, f"{len(listed)} instead of {len(order)}")
             return
         for joint, value in zip(order, listed, strict=True):
             joint.position = value
         if len(order) > 1:
-            why = "the file lists them without names; level by level from the root"
+            why = "the file lists them without names; breadth-first order from the root is assumed"
             self.draft.assumed(f"joint positions of `{name}`", why)
 
     def robot(self, name: str, kind: str, args: dict[str, Any], state: dict[str, Any]) -> None:
         model = ROBOTS.get(kind)
         if model is None:
-            self.draft.dropped(f"robot `{name}`", "it is not among the known ones", kind)
+            self.draft.dropped(f"robot `{name}`", "this robot model is unknown", kind)
             return
         if model == "franka_panda" and "robotiq" in str(args.get("end_effector", "")):
             model = "franka_robotiq"
         if state.get("joint_pos"):
-            self.draft.changed(f"posture of robot `{name}`", "its joint positions have no names; it starts at home")
+            self.draft.changed(
+                f"posture of robot `{name}`", "its joint positions have no names, so it starts in its home posture"
+            )
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
     def plane(self) -> None:
@@ -220,13 +222,13 @@ class _SceneReader:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            why = "the table stands at that height; OmniGibson itself does not restore it"
+            why = "the table is placed at that height, which OmniGibson itself does not restore"
             self.draft.changed("`ground_plane_info`", why)
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
         self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X_WO))
-        why = f"a box of {TABLE[0]:g} x {TABLE[1]:g} m stands for it"
-        self.draft.changed("the plane without an end that is the table", why)
+        why = f"it is represented by a box of {TABLE[0]:g} x {TABLE[1]:g} m"
+        self.draft.changed("the infinite plane that serves as the table", why)
 
 
 def _scaled(part: PartDraft, s: float) -> PartDraft:

@@ -1,4 +1,4 @@
-"""Read the authors' task YAML (goals, milestones, starts, and ranges) as a task for an already imported scene."""
+"""Read the authors' task YAML (goals, milestones, initial states, and ranges) as a task for an imported scene."""
 
 from __future__ import annotations
 
@@ -30,34 +30,40 @@ HORIZON = 1000
 """Default number of steps of a task in the release."""
 
 _DROPPED = {
-    "robot_pose": "robots stand in the scene", "robot_xyz_randomization": "robots stand still",
-    "robot_z_rot_randomization": "robots stand still", "robot_joint_randomization": "robots start at home",
-    "ground_plane_z_offset": "the table stands in the scene", "ground_plane_z_randomization": "the table stands still",
-    "camera_look_at_point": "cameras stand in the scene", "camera_randomization": "cameras stand still",
-    "group_init_relative_poses": "objects stand in the scene",
-    "group_predicate_placement": "starts are ranges of poses",
-    "workspace_bounds": "starts are ranges of poses", "additional_objects": "distractors are made by cousins",
-    "reward_config": "success is what counts", "hdr_background_name": "backgrounds stand in the scene",
+    "robot_pose": "the scene specifies robots",
+    "robot_xyz_randomization": "robots are not randomized",
+    "robot_z_rot_randomization": "robots are not randomized",
+    "robot_joint_randomization": "robots start in their home posture",
+    "ground_plane_z_offset": "the scene specifies the table",
+    "ground_plane_z_randomization": "the table is not randomized",
+    "camera_look_at_point": "the scene specifies cameras",
+    "camera_randomization": "cameras are not randomized",
+    "group_init_relative_poses": "the scene specifies object poses",
+    "group_predicate_placement": "reset ranges determine initial poses",
+    "workspace_bounds": "reset ranges determine initial poses",
+    "additional_objects": "cousins add distractors",
+    "reward_config": "only success is evaluated",
+    "hdr_background_name": "the scene specifies the background",
 }  # fmt: skip
 
 
 def read_task(
     path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """Read the task of a YAML file of the release for a scene; raises :class:`ImportRefusedError`."""
+    """Read a YAML file from the release as a task for a scene; raise :class:`ImportRefusedError` if it is invalid."""
     try:
         data = read_yaml(path).data
     except YamlError as error:
         raise ImportRefusedError(path, str(error)) from None
     if not isinstance(data, dict) or not isinstance(data.get("og_task_config"), dict):
-        raise ImportRefusedError(path, "it has no `og_task_config`: it is no task of the release")
+        raise ImportRefusedError(path, "the file has no `og_task_config`, so it is not a task from the release")
     assert options.scene is not None
     reader = _TaskReader(path, data, spec, scene)
     return reader.spec(relative_path(options.scene, out)), reader.draft
 
 
 class _TaskReader:
-    """State of reading one task file."""
+    """Reads a single task file."""
 
     def __init__(self, path: Path, data: dict[str, Any], spec: SceneSpec, scene: Scene) -> None:
         self.path, self.data, self.scene_spec, self.scene = path, data, spec, scene
@@ -72,7 +78,7 @@ class _TaskReader:
         goal, instruction = self.goal(), self.data.get("language_instruction")
         if not instruction:
             instruction = self.draft.name.replace("_", " ").capitalize() + "."
-            self.draft.assumed("instruction", "none is given; the name of the task stands for it")
+            self.draft.assumed("instruction", "the file specifies none; derived from the name of the task")
         steps = (self.config.get("termination_config") or {}).get("max_steps") or HORIZON
         data: dict[str, Any] = {
             "simfoundry": "task/1", "name": plain_name(self.draft.name, "task"), "scene": scene_file,
@@ -86,22 +92,22 @@ class _TaskReader:
                 self.draft.dropped(f"`{key}`", why)
         for text, _ in texts(goal) if " in " in f" {str(instruction).lower()} " else ():
             if text.startswith("OnTop("):
-                why = "the instruction says `in`, and the goal is met on top; taken as it stands"
+                why = "the instruction says `in`, but the goal requires `OnTop`; the goal is kept unchanged"
                 self.draft.assumed(f"`{text}`", why)
         return TaskSpec.model_validate(rounded(data))
 
     def members(self, group: Any) -> list[str]:
-        """Return the objects of a group by their names in the scene; agents keep their names."""
+        """Return the scene names of the objects in a group; `agent` stands for the robot."""
         out: dict[str, None] = {}
         for word in map(str, self.groups.get(str(group), [group])):
             found = ["agent"] if word in AGENTS else self.objects_called(word)
             if not found:
-                raise self.refused(f"no object of the scene is `{word}`", "name one by its name or category")
+                raise self.refused(f"the scene has no object `{word}`", "refer to an object by its name or category")
             out |= dict.fromkeys(found)
         return list(out)
 
     def objects_called(self, word: str) -> list[str]:
-        """Return the objects with a name or category, or with that name in the release."""
+        """Return the objects with the given name, category, or name in the release."""
 
         def matches(name: str, item: Any) -> bool:
             note = item.origin.note if item.origin is not None else None
@@ -116,34 +122,39 @@ class _TaskReader:
         return [dict(p) for p in listed]
 
     def goal(self) -> Any:
-        """Return the conjunction of all predicates; `all` and `any` in their keys refer to the objects of a group."""
+        """Return the conjunction of all goal predicates.
+
+        The suffixes `all` and `any` in their keys refer to the objects in each group.
+        """
         if self.predicates("goal_predicates_specific"):
-            message = "`goal_predicates_specific` names objects by number"
-            raise self.refused(message, "write them as `goal_predicates_all`")
+            message = "`goal_predicates_specific` refers to objects by number, which is not supported"
+            raise self.refused(message, "use `goal_predicates_all` instead")
         every = [self.condition(p, "all") for p in self.predicates("goal_predicates_all")]
         some = [self.condition(p, "any") for p in self.predicates("goal_predicates_any")]
         if some:
-            why = "each asks for any object of its group, and all of them must hold"
+            why = "each predicate applies to any object in its group, and all predicates must be true"
             self.draft.changed("`goal_predicates_any`", why)
         if not every + some:
-            raise self.refused("its goal is empty: every rollout would succeed at once", "give it goal predicates")
+            raise self.refused("the goal is empty, so every rollout would succeed immediately", "add goal predicates")
         return (every + some)[0] if len(every + some) == 1 else {"all": tuple(every + some)}
 
     def condition(self, predicate: dict[str, Any], quantifier: str) -> Any:
         each = [self.atom(predicate, name) for name in self.members(predicate.get("group"))]
         if not each:
-            raise self.refused(f"the group `{predicate.get('group')}` is empty: its predicate would always hold")
+            raise self.refused(f"the group `{predicate.get('group')}` is empty, so its predicate would always be true")
         return each[0] if len(each) == 1 else {quantifier: tuple(each)}
 
     def atom(self, predicate: dict[str, Any], name: str) -> Any:
-        """Return one predicate about one object."""
+        """Convert a predicate for a single object."""
         state, is_wanted = str(predicate.get("state")), predicate.get("value", True) is not False
         others = self.members(predicate["other_group"]) if predicate.get("other_group") else []
         if predicate.get("state_kwargs"):
-            why = "predicates here have thresholds of their own"
+            why = "predicates use SimFoundry's thresholds instead"
             self.draft.changed(f"parameters of {state}", why, str(predicate["state_kwargs"])[:80])
         if len(others) > 1:
-            raise self.refused(f"`{predicate.get('other_group')}` must mean one object, and means {len(others)}")
+            raise self.refused(
+                f"`{predicate.get('other_group')}` must match exactly one object, but matches {len(others)}"
+            )
         if state == "Touching" and "agent" in (name, *others):
             return self.touched_by_robot(name if name != "agent" else (others or [""])[0], is_wanted)
         if state == "IsGrasping" and name == "agent" and others:
@@ -155,7 +166,7 @@ class _TaskReader:
         elif state == "Open" and name != "agent":
             return f"{'Open' if is_wanted else 'Closed'}({name})"
         else:
-            raise self.refused(f"there is no predicate for `{state}` of `{predicate.get('group')}`")
+            raise self.refused(f"the state `{state}` of `{predicate.get('group')}` has no corresponding predicate")
         return text if is_wanted else {"not": text}
 
     def touched_by_robot(self, item: str, is_wanted: bool) -> str:
@@ -163,18 +174,18 @@ class _TaskReader:
             return f"Released({item})"
         robots = list(self.scene_spec.robots)
         if len(robots) != 1:
-            raise self.refused("a robot is to touch something", f"the scene must have one robot, not {len(robots)}")
+            raise self.refused("a condition refers to the robot", f"the scene must have one robot, not {len(robots)}")
         return f"Touching({robots[0]}, {item})"
 
     def subtasks(self) -> dict[str, Any]:
-        """Return the milestones in an order that satisfies their `requires`."""
+        """Return the milestones as subtasks, ordered so that each one follows the milestones that it requires."""
         listed, names = self.predicates("milestone_predicates"), NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()
         while listed:
             ready = next((m for m in listed if set(m.get("requires") or ()) <= done), None)
             if ready is None:
-                raise self.refused("its milestones require each other in a ring")
+                raise self.refused("the milestones require each other in a cycle")
             listed.remove(ready)
             done.add(str(ready.get("name")))
             out[names.name(str(ready.get("name")))] = {"goal": self.condition(ready, "all")}
@@ -185,12 +196,12 @@ class _TaskReader:
         keys = ("init_predicates_all", "init_predicates_any", "init_predicates_specific")
         for key, predicate in ((k, p) for k in keys for p in self.predicates(k)):
             if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
-                why = "only objects placed on others can be expressed"
+                why = "only `PlaceOnTop` is supported"
                 self.draft.dropped(f"`{key}`: {predicate.get('state')}", why)
                 continue
             below, members = self.members(predicate.get("other_group")), self.members(predicate.get("group"))
             if len(members) > 1:
-                why = "the release keeps the last object only; so does this"
+                why = "only the last object is placed, as in the release"
                 self.draft.changed(f"`{key}` of `{predicate.get('group')}`", why)
             place[members[-1]] = {"on": below[0]}
         joints: dict[str, Any] = {}
@@ -200,15 +211,15 @@ class _TaskReader:
         return {key: value for key, value in (("place", place), ("joints", joints)) if value}
 
     def reset(self) -> dict[str, Any]:
-        """Return the ranges around the poses of the scene."""
+        """Return the reset ranges around the poses in the scene."""
         widths, turns = (self.config.get(f"group_{k}_randomization") or {} for k in ("xyz", "z_rot"))
         out: dict[str, Any] = {}
         for group in dict.fromkeys([*widths, *turns]):
             half = [abs(float(v)) for v in widths.get(group) or (0, 0, 0)]
             turn = math.degrees(abs(float(turns.get(group) or 0.0)))
             if half[2]:
-                why = "objects start at the height that the scene gives them"
-                self.draft.dropped(f"range of height of `{group}`", why)
+                why = "objects start at their height in the scene"
+                self.draft.dropped(f"height range of `{group}`", why)
             for name in self.members(group):
                 p = self.scene.object(name).X_WO.p.tolist()
                 region: dict[str, Any] = {k: (p[i] - half[i], p[i] + half[i]) for i, k in enumerate("xy")}

@@ -1,4 +1,4 @@
-"""URDF importer for single files, and for folders that SimFoundry compiled."""
+"""URDF importer, both for single files and for folders compiled by SimFoundry."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

@@ -1,4 +1,4 @@
-"""Read a compiled folder of URDFs: each URDF is one object, and ``poses.json`` contains the poses."""
+"""Read a folder of URDFs compiled by SimFoundry, in which ``poses.json`` contains the pose of each object."""
 
 from __future__ import annotations
 
@@ -23,18 +23,21 @@ from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
-_ALWAYS_THERE = ("effort limit", "velocity limit", "texture laid")
-"""Notes that apply to every compiled file: limits that URDF requires, textures that the meshes also refer to."""
+_ALWAYS_THERE = ("effort limit", "velocity limit", "texture that the URDF")
+"""Start of notes to omit because they apply to every compiled file.
+
+URDF requires the limits, and the mesh files also refer to the textures.
+"""
 
 TUBE, TOP, BOTTOM = "_tube", "_top", "_bottom"
-"""Suffixes of the pieces that represent a capsule, which URDF does not support."""
+"""Name suffixes of the three pieces that represent a capsule, which URDF does not support."""
 
 SAME_PLACE_M = 1e-9
-"""Tolerance [m] for equal positions, which allows for rounding in the file."""
+"""Tolerance [m] for equal positions; allows for rounding in the file."""
 
 
 def is_poses(path: Path) -> bool:
-    """Return False for a JSON file that does not contain the poses of URDFs."""
+    """Return True if a JSON file contains the poses of compiled URDFs."""
     if path.suffix.lower() != ".json":
         return True
     data = read_json(path)
@@ -43,7 +46,7 @@ def is_poses(path: Path) -> bool:
 
 
 def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
-    """Read the scene of a ``poses.json``; raises :class:`ImportRefusedError`."""
+    """Read a scene from a ``poses.json`` file and its URDFs; raise :class:`ImportRefusedError` if they are invalid."""
     draft = ModelDraft(path.parent.name, "URDF")
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
     for name, entry in read_json(path).items():
@@ -54,7 +57,7 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
                 continue
             body = _body(draft, path, name, entry, options)
         except (KeyError, TypeError, ValueError) as error:
-            raise ImportRefusedError(path, f"`{name}` is not as compiled files have it: {error!r}") from None
+            raise ImportRefusedError(path, f"`{name}` has invalid data for a compiled file: {error!r}") from None
         if "free" in entry:
             free.append((body, entry["free"]))
         else:
@@ -65,10 +68,10 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
 
 
 def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], options: ImportOptions) -> BodyDraft:
-    """Return the body of one URDF with the fields of its entry."""
+    """Read the URDF of an object and apply the pose and other fields in its entry of ``poses.json``."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
-        raise ImportRefusedError(path, f"`{name}` names the file `{entry['urdf']}`, which is not in this folder")
+        raise ImportRefusedError(path, f"`{name}` refers to the file `{entry['urdf']}`, which is not in this folder")
     read = read_urdf(file, ImportOptions(options.packages))
     draft.notes += [note for note in read.notes if not note.what.startswith(_ALWAYS_THERE)]
     body = read.bodies[0]
@@ -84,10 +87,10 @@ def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], op
 
 
 def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, Any], path: Path) -> None:
-    """Attach a body to the object of which it is a free link."""
+    """Attach a body with a free joint to the object that it belongs to."""
     owner = next((b for b in draft.bodies if b.name == entry["object"]), None)
     if owner is None or entry["parent"] not in owner.links:
-        raise ImportRefusedError(path, f"`{body.name}` is part of `{entry['object']}`, which is not there")
+        raise ImportRefusedError(path, f"`{body.name}` is part of `{entry['object']}`, which does not exist")
     zero, motion = (Pose.of(entry[key][:3], entry[key][3:]) for key in ("zero", "motion"))
     joint = JointDraft(entry["joint"], "free", entry["parent"], body.root, zero, motion=motion)
     owner.links |= body.links
@@ -95,7 +98,7 @@ def _attach_free_link(draft: ModelDraft, body: BodyDraft, entry: Mapping[str, An
 
 
 def _with_capsules(link: LinkDraft) -> list[PartDraft]:
-    """Return the parts of a link, with a capsule for each cylinder with two spheres that represents one."""
+    """Return the parts of a link, replacing each cylinder and two spheres that represent a capsule with a capsule."""
     by_name = {(part.name, part.use): part for part in link.parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():

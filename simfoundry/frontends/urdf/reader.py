@@ -1,7 +1,7 @@
-"""Read URDF files: links, joints, shapes and meshes of the specification, and Bullet's `<contact>`.
+"""Read URDF files, including Bullet's `<contact>` element.
 
-This module parses the XML itself, because yourdfpy ignores `<contact>`, capsules and planes, silently repairs broken
-XML and resolves entities, and does not provide line numbers.
+This module parses the XML itself because yourdfpy ignores `<contact>`, capsules and planes, silently repairs broken
+XML, resolves entities, and does not provide line numbers.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 LEAST_AXIS = 1e-9
-"""Smallest length of an axis with a direction."""
+"""Minimum length of an axis; shorter axes have no meaningful direction."""
 
 SAME_POSE = 1e-12
-"""Tolerance for equal elements of transforms, which allows for rounding."""
+"""Tolerance for comparing elements of transforms; allows for rounding."""
 
 CONTACT = {
     "lateral_friction": "friction", "restitution": "restitution", "spinning_friction": "torsional_friction",
     "rolling_friction": "rolling_friction",
 }  # fmt: skip
-"""Keys of contact parameters in documents by the elements of Bullet's `<contact>`."""
+"""Contact parameters in documents, by the corresponding child element of Bullet's `<contact>`."""
 
 _READ = {
     "robot": ("link", "joint", "material"),
@@ -51,19 +51,19 @@ _READ = {
     "link": ("inertial", "visual", "collision", "contact", "joint_properties"),
     "contact": (*CONTACT, "inertia_scaling", "joint_properties"),
 }
-"""Child elements that are read, by parent; others are counted."""
+"""Supported child elements by parent element; all others are counted and reported."""
 
 
 def read_urdf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the one body of a URDF.
+    """Read a URDF file into a draft with a single body.
 
-    Raises :class:`ImportRefusedError` with the line if it cannot be read.
+    Raises :class:`ImportRefusedError` with a line number if the file is invalid.
     """
     return _UrdfReader(path, options).read()
 
 
 class _UrdfReader:
-    """State of reading one file."""
+    """Reads a single URDF file."""
 
     def __init__(self, path: Path, options: ImportOptions) -> None:
         self.path, self.search = path, FileSearch(path, options.packages)
@@ -73,7 +73,7 @@ class _UrdfReader:
         self.meshes: dict[tuple[Path, Scale], MeshDraft] = {}
         self.groups: dict[tuple[Path, Scale], list[tuple[str, MeshDraft]]] = {}
         self.widths: dict[int, float] = {}
-        """Longest side [m] of each mesh, by identity."""
+        """Longest side [m] of each mesh, by object id."""
         self.materials: dict[str, Element] = {}
         for material in self.root.walk():
             name = material.get("name")
@@ -85,13 +85,13 @@ class _UrdfReader:
         for element in self.root.all("link"):
             link = self.link(element)
             if link.name in links:
-                raise element.refused(f"a second link is called `{link.name}`")
+                raise element.refused(f"there is more than one link named `{link.name}`")
             links[link.name] = link
         joints: dict[str, JointDraft] = {}
         for element in self.root.all("joint"):
             joint = self.joint(element, links)
             if joint.name in joints:
-                raise element.refused(f"a second joint is called `{joint.name}`")
+                raise element.refused(f"there is more than one joint named `{joint.name}`")
             joints[joint.name] = joint
         body = BodyDraft(self.draft.name, self.root_link(links, joints.values()), links, list(joints.values()))
         self.draft.bodies.append(body)
@@ -103,19 +103,19 @@ class _UrdfReader:
         return self.draft
 
     def root_link(self, links: dict[str, LinkDraft], joints: Iterable[JointDraft]) -> str:
-        """Return the link without a parent joint; links and joints must form a single tree."""
+        """Return the name of the root link; raise an error unless links and joints form a single tree."""
         if not links:
-            raise self.root.refused("it has no link")
+            raise self.root.refused("the robot has no links")
         children = Counter(joint.child for joint in joints)
         roots = [name for name in links if name not in children]
         several = next((name for name, count in children.items() if count > 1), None)
         if several is not None:
             raise self.root.refused(f"link `{several}` is the child of {children[several]} joints")
         if not roots:
-            raise self.root.refused("its joints form a cycle: no link is the root")
+            raise self.root.refused("the joints form a cycle: there is no root link")
         if len(roots) > 1:
-            message = f"it has {len(roots)} roots: `{'`, `'.join(roots[:4])}`"
-            raise self.root.refused(message, "join them by fixed joints")
+            message = f"the robot has {len(roots)} root links: `{'`, `'.join(roots[:4])}`"
+            raise self.root.refused(message, "connect them with fixed joints")
         reached, waiting = set(), [roots[0]]
         while waiting:
             link = waiting.pop()
@@ -123,7 +123,7 @@ class _UrdfReader:
             waiting += [joint.child for joint in joints if joint.parent == link]
         lost = next((name for name in links if name not in reached), None)
         if lost is not None:
-            raise self.root.refused(f"its joints form a cycle: link `{lost}` is its own ancestor")
+            raise self.root.refused(f"the joints form a cycle: link `{lost}` is its own ancestor")
         return roots[0]
 
     def link(self, element: Element) -> LinkDraft:
@@ -148,7 +148,7 @@ class _UrdfReader:
             return
         link.mass = mass.number("value")
         if link.mass < 0:
-            raise mass.refused(f"link `{link.name}` has the mass {link.mass:g} kg")
+            raise mass.refused(f"link `{link.name}` has an invalid mass of {link.mass:g} kg")
         X_LG = _origin(inertial)
         link.com = X_LG.p.copy()
         if inertia is not None:
@@ -158,7 +158,7 @@ class _UrdfReader:
             link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def parts(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
-        """Yield the parts of a `<visual>` or `<collision>`: one, or one for each group of an OBJ."""
+        """Yield the parts of a `<visual>` or `<collision>` element: one, or one per group of an OBJ mesh."""
         geometry = element.first("geometry")
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
@@ -173,13 +173,13 @@ class _UrdfReader:
             return
         drafted, X_GS = found
         if use == "visual" and isinstance(drafted, MeshDraft) and self.width(drafted) > LARGEST:
-            self.draft.dropped(f"visual mesh of `{link}`", f"it is wider than {LARGEST:g} m")
+            self.draft.dropped(f"visual mesh of `{link}`", f"it is larger than {LARGEST:g} m")
             return
         color = self.color(element.first("material")) if use == "visual" else None
         yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
     def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
-        """Return a shape and its pose relative to its element; record an unsupported shape and return None."""
+        """Return a shape and its pose relative to its element, or record the shape and return None if unsupported."""
         match shape.tag:
             case "box":
                 x, y, z = shape.numbers("size", 3)
@@ -202,15 +202,15 @@ class _UrdfReader:
                 box, X_PB = self.draft.plane(f"plane of `{link}`")
                 return box, _upright(normal) @ X_PB
             case _:
-                self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "the scene language has no such shape")
+                self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "the scene language does not support this shape")
                 return None
         if any(float(w) < 0 for text in shape.attributes.values() for w in text.split()):
             raise shape.refused(f"a `<{shape.tag}>` of link `{link}` has a negative size")
-        self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "it has no size")
+        self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "its size is zero")
         return None
 
     def mesh_groups(self, shape: Element, link: str) -> list[tuple[str, MeshDraft]]:
-        """Return the groups of an OBJ by name, each of which collides as its own hull; empty if there is only one."""
+        """Return the name and mesh of each OBJ group, each of which collides as its own hull; empty without groups."""
         key = self.file_and_scale(shape)
         if key not in self.groups:
             try:
@@ -219,7 +219,7 @@ class _UrdfReader:
                 raise shape.refused(str(error), error.hint) from None
         groups = self.groups[key]
         if groups:
-            why = "each group of its OBJ touches as a convex hull, as in PyBullet; MuJoCo takes one hull of all"
+            why = "each OBJ group collides as its own convex hull, as in PyBullet; MuJoCo uses a single hull"
             self.draft.changed(f"collision mesh of `{link}`", why, f"{len(groups)} groups of {key[0].name}")
         return groups
 
@@ -248,7 +248,7 @@ class _UrdfReader:
             return None
         defined = material if material.children else self.materials.get(material.get("name") or "", material)
         if defined.first("texture") is not None:
-            self.left_out["texture laid on a shape or mesh by the URDF"] += 1
+            self.left_out["texture that the URDF assigns to a shape or mesh"] += 1
         color = defined.first("color")
         if color is None:
             return None
@@ -262,7 +262,7 @@ class _UrdfReader:
             if end is None:
                 raise element.refused(f"joint `{name}` has no `<{tag}>`")
             if end.need("link") not in links:
-                raise end.refused(f"joint `{name}` names the link `{end.need('link')}`, which does not exist")
+                raise end.refused(f"joint `{name}` refers to link `{end.need('link')}`, which does not exist")
             ends.append(end.need("link"))
         joint = JointDraft(name, kind, ends[0], ends[1], _origin(element))
         axis, x_axis = element.first("axis"), (1.0, 0.0, 0.0)
@@ -274,11 +274,11 @@ class _UrdfReader:
         self.set_type_and_limits(joint, element)
         turns_or_slides = joint.type in ("revolute", "continuous", "prismatic")
         if turns_or_slides and float(np.linalg.norm(joint.axis)) < LEAST_AXIS:
-            raise element.refused(f"the axis of joint `{name}` has no length")
+            raise element.refused(f"the axis of joint `{name}` is zero")
         return joint
 
     def set_type_and_limits(self, joint: JointDraft, element: Element) -> None:
-        """Set the document type and the limits of a joint."""
+        """Set the type and the limits of a joint as in documents."""
         what, limit = f"joint `{joint.name}`", element.first("limit")
         bounds, is_stated = None, False
         if limit is not None:
@@ -292,18 +292,18 @@ class _UrdfReader:
                 pass
             case "continuous":
                 if bounds is not None and bounds != (0.0, 0.0):
-                    self.draft.dropped(f"limits of {what}", "a continuous joint has none, by the specification of URDF")
+                    self.draft.dropped(f"limits of {what}", "continuous joints have no limits in URDF")
             case "revolute" | "prismatic" if bounds is not None and bounds[0] < bounds[1]:
                 joint.limits = bounds
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] != 0.0:
                 _lock(joint, bounds[0])
-                self.draft.changed(what, f"both its limits are {bounds[0]:g}, so it is fixed there")
+                self.draft.changed(what, f"both limits are {bounds[0]:g}, so it is fixed at that position")
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] and is_stated:
                 joint.type = "fixed"
-                self.draft.changed(what, "both its limits are 0, so it is fixed")
+                self.draft.changed(what, "both limits are 0, so it is fixed")
             case "revolute":
                 joint.type = "continuous"
-                self.draft.changed(what, "it has no limits, so it turns without end")
+                self.draft.changed(what, "it has no limits, so it becomes a continuous joint")
             case "prismatic":
                 joint.limits = self.draft.unlimited_slide(what)
             case "spherical":
@@ -312,9 +312,9 @@ class _UrdfReader:
                 joint.type = "free"
             case "planar":
                 joint.type = "fixed"
-                self.draft.dropped(f"motion of {what}", "the scene language has no planar joints; it is fixed")
+                self.draft.dropped(f"motion of {what}", "planar joints are not supported, so it is fixed")
             case _:
-                raise element.refused(f"{what} is of the type `{joint.type}`, which URDF does not know")
+                raise element.refused(f"{what} has the type `{joint.type}`, which is not a URDF joint type")
 
     def mimics(self, joints: dict[str, JointDraft]) -> None:
         for element in self.root.all("joint"):
@@ -329,7 +329,7 @@ class _UrdfReader:
             joint.mimic = Mimic(leader, mimic.number("multiplier", 1.0), mimic.number("offset", 0.0))
 
     def count_left_out(self) -> None:
-        """Count the elements that are not read, by tag."""
+        """Count the unsupported elements by tag."""
         for child in self.root.children:
             if child.tag not in _READ["robot"]:
                 self.left_out[f"`<{child.tag}>`"] += 1
@@ -348,7 +348,7 @@ def _origin(element: Element) -> Pose:
 
 
 def _upright(normal: Array) -> Pose:
-    """Return a rotation that maps z to a direction."""
+    """Return a pose that rotates the z axis to the direction ``normal``."""
     length = float(np.linalg.norm(normal))
     z = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     across = np.array([-z[1], z[0], 0.0])
@@ -359,7 +359,7 @@ def _upright(normal: Array) -> Pose:
 
 
 def _lock(joint: JointDraft, position: float) -> None:
-    """Fix a joint at a position."""
+    """Convert a joint to a fixed joint at the given position."""
     axis = joint.axis / max(float(np.linalg.norm(joint.axis)), SAME_POSE)
     moved = Pose.of(axis * position) if joint.type == "prismatic" else Pose.about(axis, position)
     joint.X_PC = joint.X_PC @ moved
@@ -367,7 +367,7 @@ def _lock(joint: JointDraft, position: float) -> None:
 
 
 def _united(visuals: list[PartDraft], colliders: list[PartDraft]) -> list[PartDraft]:
-    """Merge the parts of both kinds; a visual and a collider with the same geometry become one part."""
+    """Combine visuals and colliders; a visual and a collider with the same geometry and pose become one part."""
     left, out = list(colliders), []
     for part in visuals:
         proxy = next((p for p in left if _same_geometry(p, part)), None)

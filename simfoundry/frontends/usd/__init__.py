@@ -1,4 +1,4 @@
-"""USD importer: any stage as a new document, or a compiled stage back into its document (``compiled``)."""
+"""USD importer, both for arbitrary stages and for stages compiled by SimFoundry (``compiled``)."""
 
 from simfoundry.frontends.registry import Importer, deferred
 

@@ -1,4 +1,4 @@
-"""Read the gprims of a USD stage as parts of links: scaled shapes, meshes, visual and physics materials."""
+"""Convert the gprims in a USD stage, including their scales and materials, to parts of links."""
 
 from __future__ import annotations
 
@@ -15,30 +15,33 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 EVEN_SCALE = 1e-6
-"""Relative tolerance for equal scales: stages store them in single precision."""
+"""Relative tolerance for equal scales, which stages store in single precision."""
 
 ORTHOGONAL = 1e-5
-"""Largest dot product of orthogonal unit axes: single precision after a few transforms."""
+"""Maximum dot product of orthogonal unit axes; allows for single precision after a few transforms."""
 
 COORDINATES = ("st", "UVMap", "st0", "uv")
-"""Names of texture coordinates: of OpenUSD, Blender, and older exporters."""
+"""Names of texture coordinates in files from OpenUSD, Blender, and older exporters."""
 
 AXES = {
     "X": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
     "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "Z": np.eye(3),
 }
-"""Rotations that map z to an axis."""
+"""Rotations that map the z axis to each axis."""
 
 
 class UsdGprims:
-    """Converts gprims of a stage to parts; ``to_kg`` and ``to_m`` are its units [kg, m]."""
+    """Converts gprims in a stage to parts; ``to_kg`` and ``to_m`` are the stage units in kilograms and meters."""
 
     def __init__(self, pxr: Any, draft: ModelDraft, to_kg: float, to_m: float) -> None:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
 
     def part(self, prim: Any, X_LG: Array) -> PartDraft | None:
-        """Return a gprim as a part; ``X_LG`` (4, 4) maps its units and frame to the link frame, including scale."""
+        """Convert a gprim to a part, or return None if it is unsupported.
+
+        ``X_LG``, shape (4, 4), is the transform from the gprim's frame and units to the link frame, including scale.
+        """
         found = self.geometry(prim, X_LG)
         if found is None:
             return None
@@ -49,7 +52,10 @@ class UsdGprims:
         return part
 
     def use(self, prim: Any) -> str:
-        """Return the use of a gprim; guides and invisible prims are not visual, and are omitted without contact."""
+        """Return how a gprim is used: `both`, `visual`, `collision`, or `none`.
+
+        Guides and invisible prims are not visual.
+        """
         geom = self.pxr.UsdGeom.Imageable(prim)
         visible = geom.ComputePurpose() in ("default", "render") and geom.ComputeVisibility() != "invisible"
         if is_collider(self.pxr, prim):
@@ -57,10 +63,13 @@ class UsdGprims:
         return "visual" if visible else "none"
 
     def geometry(self, prim: Any, X_LG: Array) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
-        """Return the geometry of a gprim and its pose; a scale that no primitive supports converts it to a mesh."""
+        """Return the geometry of a gprim and its pose in the link frame.
+
+        A primitive with an unsupported scale is converted to a mesh.
+        """
         kind, scales = prim.GetTypeName(), np.linalg.norm(X_LG[:3, :3], axis=0)
         if not np.isfinite(X_LG).all() or scales.min() <= 0:
-            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "it is scaled to nothing")
+            self.draft.dropped(f"{kind} `{prim.GetPath()}`", "its scale is zero or not finite")
             return None
         R_LG = X_LG[:3, :3] / scales
         is_orthogonal = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < ORTHOGONAL)
@@ -75,7 +84,7 @@ class UsdGprims:
         return None if mesh is None else self.baked(prim, mesh, X_LG, R_LG if is_orthogonal else None)
 
     def primitive(self, prim: Any, kind: str, scales: Array) -> tuple[PrimitiveShape, Pose] | None:
-        """Return a scaled gprim as a primitive, and its pose in the gprim's frame; None if it is not a primitive."""
+        """Return a scaled gprim as a primitive, and its pose in the gprim's frame, or None if this is impossible."""
         match kind:
             case "Cube":
                 x, y, z = (prim.GetAttribute("size").Get() * scales).tolist()
@@ -98,7 +107,7 @@ class UsdGprims:
         return None
 
     def baked(self, prim: Any, mesh: MeshPart, X_LG: Array, R_LG: Array | None) -> tuple[MeshDraft, Pose]:
-        """Return a mesh with its scale baked in, and the remaining pose."""
+        """Return a mesh with the scale baked into its vertices, and the remaining pose."""
         pose = Pose.of() if R_LG is None else _pose(R_LG, X_LG[:3, 3])
         bake = np.linalg.inv(pose.matrix) @ X_LG
         vertices = np.round(mesh.vertices @ bake[:3, :3].T + bake[:3, 3], 9)
@@ -110,14 +119,14 @@ class UsdGprims:
         return mesh_of_parts([part], plain_name(prim.GetName(), "mesh")), pose
 
     def mesh(self, prim: Any) -> MeshPart | None:
-        """Return the triangles of a mesh in its own units; polygons are triangulated as fans."""
+        """Return the triangles of a mesh in the gprim's units; polygons are triangulated as fans."""
         mesh = self.pxr.UsdGeom.Mesh(prim)
         points = np.array(mesh.GetPointsAttr().Get() or [], dtype=np.float64).reshape(-1, 3)
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get() or [], dtype=np.int64)
         indices = np.array(mesh.GetFaceVertexIndicesAttr().Get() or [], dtype=np.int64)
         is_sound = len(points) and len(counts) and counts.sum() == len(indices) and counts.min() >= 0
         if not is_sound or indices.min() < 0 or indices.max() >= len(points):
-            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "it has no usable faces")
+            self.draft.dropped(f"Mesh `{prim.GetPath()}`", "it has no valid faces")
             return None
         corners = _fans(counts)
         faces = indices[corners]
@@ -140,7 +149,7 @@ class UsdGprims:
         return values[chosen.reshape(-1)] if len(values) > int(chosen.max()) else None
 
     def tessellated(self, prim: Any, kind: str) -> MeshPart | None:
-        """Return a mesh for a primitive that documents do not support or that is scaled non-uniformly."""
+        """Return a mesh for a primitive whose type or scale is not supported in documents."""
         import trimesh
 
         def value(name: str) -> float:
@@ -158,13 +167,13 @@ class UsdGprims:
             case "Cube":
                 made = trimesh.creation.box(extents=[value("size")] * 3)
             case _:
-                self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scene language has no such shape")
+                self.draft.dropped(f"{kind} `{prim.GetPath()}`", "the scene language does not support this shape")
                 return None
-        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"a mesh of {len(made.faces)} triangles stands for it")
+        self.draft.changed(f"{kind} `{prim.GetPath()}`", f"it is represented by {len(made.faces)} triangles")
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
     def surface(self, prim: Any) -> tuple[Contact, float | None]:
-        """Return the contact parameters and density [kg/m^3] of the physics material that is bound to a gprim."""
+        """Return the contact parameters and the density [kg/m^3] of the physics material bound to a gprim."""
         physics, shade = self.pxr.UsdPhysics, self.pxr.UsdShade
         material, _ = shade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         target = material.GetPrim() if material else None
@@ -174,13 +183,13 @@ class UsdGprims:
         attributes = (target.GetAttribute(f"physics:{name}") for name in names)
         static, dynamic, restitution, density = (float(a.Get()) if a.HasAuthoredValue() else None for a in attributes)
         if static is not None and dynamic is not None and abs(static - dynamic) > EVEN_SCALE:
-            self.draft.changed(f"material `{target.GetPath()}`", "it has one friction here, the dynamic one")
+            self.draft.changed(f"material `{target.GetPath()}`", "only its dynamic friction is used")
         given = {"friction": static if dynamic is None else dynamic, "restitution": restitution}
         contact = {key: value for key, value in given.items() if value is not None}
         return contact, density * self.to_kg / self.to_m**3 if density else None
 
     def look(self, prim: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the color of a gprim, and the PNG of its texture."""
+        """Return the color of a gprim and its texture as PNG; each may be None."""
         material, _ = self.pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
         shader = material.ComputeSurfaceSource()[0] if material else None
         if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
@@ -193,7 +202,7 @@ class UsdGprims:
         return _rgba(colors[0], float(opacity[0]) if opacity else 1.0), None
 
     def preview(self, shader: Any) -> tuple[Rgba | None, bytes | None]:
-        """Return the color and texture of a UsdPreviewSurface."""
+        """Return the color of a UsdPreviewSurface and its texture as PNG; each may be None."""
         diffuse, opacity = shader.GetInput("diffuseColor"), shader.GetInput("opacity")
         if not diffuse:
             return None, None
@@ -203,7 +212,7 @@ class UsdGprims:
             file = node.GetInput("file").Get() if node and node.GetInput("file") else None
             png = _png(file.resolvedPath) if file is not None and file.resolvedPath else None
             if png is None:
-                self.draft.dropped(f"texture of `{shader.GetPath()}`", "its picture is not found")
+                self.draft.dropped(f"texture of `{shader.GetPath()}`", "its image could not be found")
             return None, png
         color = diffuse.Get()
         alpha = float(opacity.Get()) if opacity and isinstance(opacity.Get(), float) else 1.0
@@ -226,7 +235,7 @@ def _is_even(scales: Array) -> bool:
 
 
 def _fans(counts: Any) -> Any:
-    """Return indices into the list of face corners, three for each triangle, shape (m, 3)."""
+    """Triangulate faces as fans; return three indices into the list of face corners per triangle, shape (m, 3)."""
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     per_face = np.maximum(counts - 2, 0)
     face = np.repeat(np.arange(len(counts)), per_face)
@@ -235,7 +244,7 @@ def _fans(counts: Any) -> Any:
 
 
 def _rgba(linear: Sequence[float], alpha: float) -> Rgba:
-    """Convert a linear USD color to sRGB."""
+    """Convert a linear USD color to sRGB and add an alpha value."""
     r, g, b = (srgb_of_linear(min(max(float(v), 0.0), 1.0)) for v in linear)
     return r, g, b, min(max(alpha, 0.0), 1.0)
 

@@ -1,4 +1,4 @@
-"""Read UsdPhysics joints and masses of a USD stage, in SI units."""
+"""Read the UsdPhysics joints and masses in a USD stage, and convert them to SI units."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from simfoundry.spec.models.asset import DriveSpec
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 
 INFINITE = 1e30
-"""Limits and forces above this are infinite: USD writes infinity as a large number in single precision."""
+"""Minimum magnitude of limits and forces that are treated as infinite.
+
+USD files often contain a large single-precision number instead of infinity.
+"""
 
 NO_LENGTH = 1e-9
-"""Quaternions shorter than this are undefined; newer versions of USD write zero for a missing rotation."""
+"""Quaternions shorter than this are treated as missing; newer USD versions write zero for a missing rotation."""
 
 JointEnd = tuple[str, Pose, Array]
-"""End of a joint: path of the body, frame of the joint's target in the body frame, and scale of its units."""
+"""One end of a joint: the body's path, the pose of the joint's target in the body frame, and the target's scale."""
 
 _FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
 _ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
@@ -35,9 +38,9 @@ _DAMPING = ("mjc:damping", "newton:damping")
 
 @dataclass
 class UsdJoint:
-    """Joint with parent body0 and child body1, until the construction of a tree reverses it.
+    """A joint with parent body0 and child body1, which may be swapped when the tree is constructed.
 
-    ``X_0`` and ``X_1`` are its frames in the two bodies; the axis of ``draft`` is in the joint frame.
+    ``X_0`` and ``X_1`` are the poses of the joint frame in the two bodies. The axis is expressed in the joint frame.
     """
 
     path: str
@@ -48,14 +51,17 @@ class UsdJoint:
     draft: JointDraft
 
     def frame(self, body: str) -> Pose:
-        """Return its frame in one of its two bodies."""
+        """Return the pose of the joint frame in one of its two bodies."""
         return self.X_0 if body == self.parent else self.X_1
 
 
 def read_joint(
     draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], JointEnd], to_m: float, to_kg: float
 ) -> UsdJoint:
-    """Read a joint of a stage with units ``to_m`` [m] and ``to_kg`` [kg]; unsupported features are recorded."""
+    """Read a joint and record its unsupported features in the draft.
+
+    ``end`` resolves the targets of one end of the joint. ``to_m`` [m] and ``to_kg`` [kg] are the units of the stage.
+    """
     joint = pxr.UsdPhysics.Joint(prim)
     ends = (end(list(relation.GetTargets())) for relation in (joint.GetBody0Rel(), joint.GetBody1Rel()))
     (parent, X_P, scale_0), (child, X_C, scale_1) = ends
@@ -68,21 +74,21 @@ def read_joint(
 
 
 def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
-    """Return the pose given by two attributes of a prim; missing values and zero rotations are the identity.
+    """Return the pose specified by the position and rotation attributes of a prim.
 
-    Raises :class:`ImportRefusedError` for non-finite numbers.
+    Missing values and zero quaternions mean identity. Raises :class:`ImportRefusedError` for non-finite numbers.
     """
     p = np.array(position if position is not None else (0, 0, 0), dtype=np.float64) * scale
     q = (1.0, 0.0, 0.0, 0.0) if rotation is None else (rotation.GetReal(), *rotation.GetImaginary())
     if not np.isfinite([*p, *q]).all():
         file = Path(prim.GetStage().GetRootLayer().realPath)
-        raise ImportRefusedError(file, f"a frame of `{prim.GetPath()}` has numbers that are not finite")
+        raise ImportRefusedError(file, f"a frame of `{prim.GetPath()}` has non-finite numbers")
     return Pose.of(p, q if math.hypot(*q) > NO_LENGTH else (1.0, 0.0, 0.0, 0.0))
 
 
 @dataclass
 class _JointReader:
-    """State of reading the type, limits and dynamics of a joint."""
+    """Reads the type, limits and dynamics of a joint."""
 
     draft: ModelDraft
     pxr: Any
@@ -117,27 +123,27 @@ class _JointReader:
             case "PhysicsJoint":
                 self.six_axes()
             case _:
-                self.draft.dropped(f"motion of {self.label}", f"the scene language has no {kind}; it is fixed")
+                self.draft.dropped(f"motion of {self.label}", f"{kind} is not supported, so it is fixed")
 
     def limit(self, turns: bool, low: float | None, high: float | None) -> None:
-        """Set the type and limits of a joint with one axis."""
+        """Set the type and limits of a joint with a single axis."""
         joint, factor = self.joint, math.radians(1.0) if turns else self.to_m
         low, high = (None if b is None or not abs(b) <= INFINITE else float(b) * factor for b in (low, high))
         if low is not None and high is not None and low < high:
             joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
         elif low is not None and high is not None and low == high:
-            self.draft.changed(self.label, "its limits leave it no range, so it is fixed at zero")
+            self.draft.changed(self.label, "its limits leave no range of motion, so it is fixed at zero")
         elif turns:
             joint.type = "continuous"
             if (low is None) != (high is None):
-                self.draft.dropped(f"the one limit of {self.label}", "a joint has two limits or none")
+                self.draft.dropped(f"single limit of {self.label}", "a joint must have two limits or none")
         else:
             far = UNLIMITED_SLIDE_M
             joint.type, joint.limits = "prismatic", (-far if low is None else low, far if high is None else high)
-            self.draft.changed(self.label, f"it has no limits; {far:g} m to either side stand for that")
+            self.draft.changed(self.label, f"it has no limits, so they are set to ±{far:g} m")
 
     def dynamics(self, token: str, turns: bool) -> None:
-        """Set damping, friction, armature and drive; the stage uses angular quantities per degree."""
+        """Set damping, friction, armature and drive; angular quantities in the stage are per degree."""
         prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
         force = to_kg * to_m * (to_m if turns else 1.0)
         per_unit = math.degrees(1.0) if turns else 1.0 / to_m
@@ -151,7 +157,9 @@ class _JointReader:
         if stiffness <= 0 and damping <= 0:
             return
         if drive.GetTypeAttr().Get() == "acceleration":
-            self.draft.dropped(f"drive of {self.label}", "it gives accelerations, and drives here give forces")
+            self.draft.dropped(
+                f"drive of {self.label}", "it is an acceleration drive, and only force drives are supported"
+            )
             return
         factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
         limit, target = drive.GetMaxForceAttr().Get(), drive.GetTargetPositionAttr()
@@ -164,7 +172,10 @@ class _JointReader:
         )
 
     def six_axes(self) -> None:
-        """Convert a joint with individually locked axes: fixed, one axis, ball, or free; others are recorded."""
+        """Convert a joint with individually locked axes to a fixed, one-axis, ball or free joint.
+
+        If none of these types matches, the joint becomes fixed and its motion is recorded as dropped.
+        """
         free: dict[str, tuple[float | None, float | None]] = {}
         for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
             low, high = None, None
@@ -183,26 +194,26 @@ class _JointReader:
             self.limit(turns, *bounds)
             self.dynamics(token, turns)
         elif free:
-            why = "a joint here has one axis, is a ball, or is free; it is fixed"
+            why = "only joints with one axis, ball joints and free joints are supported, so it is fixed"
             self.draft.dropped(f"motion of {self.label}", why, ", ".join(free))
 
 
 def _first(prim: Any, names: tuple[str, ...]) -> float:
-    """Return the first positive value of some attributes; 0 if there is none."""
+    """Return the first positive value among the attributes ``names``, or 0 if there is none."""
     values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
     return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)
 
 
 NOISE = 1e-9
-"""Products of inertia below this fraction of the trace are noise of rotated axes in single precision."""
+"""Products of inertia below this fraction of the trace are single-precision noise from rotating the axes."""
 
 
 @dataclass
 class UsdBody:
-    """Rigid body of the stage.
+    """A rigid body in the stage.
 
-    ``X_WB`` is its frame in the world and ``scale`` the scale of its units [m per unit]; ``X_BL`` is the link frame in
-    the body frame, which a joint may change.
+    ``X_WB`` is the pose of its frame in the world, and ``scale`` [m per unit] is the scale of its units. ``X_BL`` is
+    the pose of the link frame in the body frame; a joint may change it.
     """
 
     prim: Any
@@ -213,9 +224,10 @@ class UsdBody:
 
 
 def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims) -> None:
-    """Set mass properties in the precedence of UsdPhysics: body mass, body density, collider masses and materials.
+    """Set the mass properties of a body.
 
-    Units are the same as in ``geoms``.
+    As in UsdPhysics, the body's mass takes precedence, followed by its density, the masses of its colliders, and the
+    densities of its materials. ``geoms`` provides the units of the stage.
     """
     physics, link, to_m, to_kg = pxr.UsdPhysics, body.link, geoms.to_m, geoms.to_kg
     api = physics.MassAPI(body.prim)
@@ -230,18 +242,19 @@ def add_mass(pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], g
     elif masses and len(masses) == len(colliders):
         link.mass = math.fsum(masses) * to_kg
         if len(masses) > 1:
-            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is spread by volume")
+            draft.changed(f"masses of the colliders of `{link.name}`", "their sum is distributed by volume")
     elif len(densities) == 1 and None not in densities:
         link.density = densities.pop()
     elif link.colliders:
-        assume_density(draft, link, f"{WATER_DENSITY:g} kg/m^3, as UsdPhysics takes it")
+        assume_density(draft, link, f"computed from its shapes at {WATER_DENSITY:g} kg/m^3, as in UsdPhysics")
     else:
         link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
-        draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")
+        why = "the stage specifies neither a mass nor colliders; 1 kg is assumed, as in PhysX"
+        draft.assumed(f"mass of `{link.name}`", why)
 
 
 def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
-    """Set the center of mass and inertia of a body, in the link frame, if the stage specifies them."""
+    """Set the center of mass and inertia of a body, expressed in the link frame, if the stage specifies them."""
     link, X_LB = body.link, body.X_BL.inverse()
     com = api.GetCenterOfMassAttr().Get()
     is_given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)

@@ -1,4 +1,4 @@
-"""Read any USD stage: UsdPhysics bodies, colliders and joints, materials, cameras and lights, in SI units, z up."""
+"""Read arbitrary USD stages with UsdPhysics, and convert them to SI units with z up."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 WORLD = ""
-"""Path that represents the world among the paths of bodies."""
+"""Path that represents the world, for use where a body path is expected."""
 
 _EXPECTED = (
     "Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset", "NodeGraph", "PhysicsCollisionGroup", "",
 )  # fmt: skip
-"""Types of prims that have no content of their own or are read together with others."""
+"""Prim types that have no content of their own or are read together with other prims."""
 
 AT_ZERO = 1e-5
-"""Joint positions [m or rad] below this are rounding errors of a stage and count as zero."""
+"""Joint positions [m or rad] below this are treated as rounding errors and set to zero."""
 
 
 def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
-    """Read the scene of a USD file; raises :class:`ImportRefusedError`."""
+    """Read the scene in a USD file; raise :class:`ImportRefusedError` if it cannot be imported."""
     from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
     pxr = SimpleNamespace(
         Gf=Gf, Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade
     )  # fmt: skip
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it captures the warnings that OpenUSD would print
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # captures warnings that OpenUSD would print
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reasons = [line.partition(" : '")[2] for line in error_text(error).splitlines() if " : '" in line]
-        reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
-        raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
+        reason = " ".join(reasons[0].split()) if reasons else "the file could not be opened"
+        raise ImportRefusedError(path, f"OpenUSD rejects the file: {reason[:200]}") from None
     _check_layers(path, stage)
     draft = _UsdReader(path, pxr, stage, options.density).read()
     quiet.TakeUncoalescedDiagnostics()
@@ -55,16 +55,16 @@ def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
 
 
 def _check_layers(path: Path, stage: Any) -> None:
-    """Reject layers outside the folders of the file."""
+    """Raise an error if the stage uses layers outside the folders of the file."""
     root = FileSearch(path).root.resolve()
     for layer in stage.GetUsedLayers(includeClipLayers=True):
         place = layer.realPath
         if place and not Path(place.partition("[")[0]).resolve().is_relative_to(root):
-            raise ImportRefusedError(path, f"it takes in {place}, which lies outside {root}")
+            raise ImportRefusedError(path, f"the stage includes {place}, which is outside {root}")
 
 
 class _UsdReader:
-    """State of converting a stage to a draft."""
+    """Converts a stage to a draft."""
 
     def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
         self.path, self.pxr, self.stage = path, pxr, stage
@@ -82,7 +82,7 @@ class _UsdReader:
         self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
-        """Draft and link of each body, by path."""
+        """The body draft and link of each rigid body, by path."""
 
     def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
@@ -112,9 +112,11 @@ class _UsdReader:
             self.draft.inexpressible(f"prims of type {kind}", f"{count}")
         missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
         if not self.draft.bodies:
-            raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
+            raise ImportRefusedError(
+                self.path, f"the stage has no geometry{': ' + missing[0][:200] if missing else ''}"
+            )
         for error in missing:
-            self.draft.dropped("what it takes in", "OpenUSD cannot compose it", error[:200])
+            self.draft.dropped("referenced layer", "OpenUSD could not compose it", error[:200])
         repair_masses(self.draft, str(self.path))
         return self.draft
 
@@ -136,20 +138,20 @@ class _UsdReader:
         return self.pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False
 
     def known(self, prim: Any) -> bool:
-        """Return True if a prim is read elsewhere or has no content of its own."""
+        """Return True if a prim has no content of its own or is read together with another prim."""
         usd, lux = self.pxr.UsdGeom, self.pxr.UsdLux
         kinds = (usd.Camera, self.pxr.UsdPhysics.Joint, lux.BoundableLightBase, lux.NonboundableLightBase)
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
-        """Return the transform from the units and frame of a prim to meters in the world, z up, shape (4, 4)."""
+        """Return the transform from a prim's frame and units to the world in meters with z up, shape (4, 4)."""
         X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
         if not np.isfinite(X_SP).all():
-            raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")
+            raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has non-finite numbers")
         return np.asarray(self.W @ X_SP)
 
     def frame(self, prim: Any) -> tuple[Pose, Array]:
-        """Return the frame of a prim without its scale, and the scale [m per unit]; mirroring is removed."""
+        """Return the pose of a prim in the world, without mirroring, and its scale [m per unit]."""
         X_WP = self.matrix(prim)
         scales = np.linalg.norm(X_WP[:3, :3], axis=0)
         scales = np.where(scales > 0, scales, 1.0)
@@ -160,7 +162,7 @@ class _UsdReader:
         return Pose.of(X_WP[:3, 3], quat_from_matrix(rotation)), scales
 
     def owner(self, prim: Any) -> UsdBody | None:
-        """Return the nearest rigid body at or above a prim."""
+        """Return the nearest rigid body at or above a prim, or None if there is none."""
         while prim and not prim.IsPseudoRoot():
             if str(prim.GetPath()) in self.bodies:
                 return self.bodies[str(prim.GetPath())]
@@ -179,10 +181,13 @@ class _UsdReader:
             if how == "convexDecomposition":
                 body.link.collision = "decompose"
             elif how not in (None, "none", "convexHull"):
-                self.draft.changed(f"collider `{prim.GetPath()}`", "its convex hull touches", str(how))
+                self.draft.changed(f"collider `{prim.GetPath()}`", "it collides as its convex hull", str(how))
 
     def group(self, prim: Any) -> str:
-        """Return the prim of a static gprim's object: the nearest parent Xform, or itself below the default prim."""
+        """Return the path of the prim that represents the object of a static gprim.
+
+        This is the nearest parent Xform, or the gprim itself if it is directly below the default prim.
+        """
         parent = prim.GetParent()
         default = self.stage.GetDefaultPrim()
         if parent.IsPseudoRoot() or parent == default or parent.GetTypeName() == "Scope":
@@ -190,7 +195,7 @@ class _UsdReader:
         return str(parent.GetPath())
 
     def static_objects(self, statics: dict[str, list[Any]]) -> None:
-        """Add fixed objects for the gprims that do not belong to a rigid body."""
+        """Add fixed objects for all gprims that do not belong to a rigid body."""
         for path, prims in statics.items():
             prim = self.stage.GetPrimAtPath(path)
             body = UsdBody(prim, *self.frame(prim), LinkDraft("base"))
@@ -210,7 +215,7 @@ class _UsdReader:
             yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """Return the body of a joint (or the world), the frame of the joint's target in it, and its scale."""
+        """Return the body (or the world) at one end of a joint, the target's pose in that body, and its scale."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -223,7 +228,7 @@ class _UsdReader:
         return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
 
     def trees(self, joints: list[UsdJoint]) -> None:
-        """Combine bodies that are connected by joints into objects; joints that close a loop are recorded."""
+        """Combine bodies connected by joints into objects, and record joints that close a loop as dropped."""
         left = dict(self.bodies)
         at: dict[str, list[UsdJoint]] = {}
         for joint in joints:
@@ -237,13 +242,13 @@ class _UsdReader:
                 self.tree(root, left, at, used)
         for joint in joints:
             if id(joint) not in used:
-                self.draft.dropped(f"joint `{joint.path}`", "it closes a loop, and objects here are trees")
+                self.draft.dropped(f"joint `{joint.path}`", "it closes a kinematic loop, and only trees are supported")
 
     def is_root(self, path: str) -> bool:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
-        """Add one object: its root and all descendants."""
+        """Add an object that consists of a root body and all of its descendants."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
         frames = {root: Pose.of()}
@@ -264,7 +269,7 @@ class _UsdReader:
                 draft.links[root] = body.link
         elif kinematic:
             draft.fixed = True
-            self.draft.changed(f"kinematic body `{root}`", "nothing moves it by hand here; it is fixed")
+            self.draft.changed(f"kinematic body `{root}`", "kinematic bodies are not supported, so it is fixed")
         del left[root]
         todo = [root]
         while todo:
@@ -282,7 +287,7 @@ class _UsdReader:
     def fasten(
         self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose, frames: dict[str, Pose]
     ) -> None:
-        """Attach a child by a joint; the frame of its link moves to the joint."""
+        """Attach a child to its parent, and move the frame of the child link to the joint."""
         X_CJ, drafted = joint.frame(child), joint.draft
         X_CL = Pose.of(X_CJ.p) if drafted.type != "fixed" else Pose.of()
         frames[child] = self.bodies[child].X_BL = X_CL
@@ -297,7 +302,7 @@ class _UsdReader:
         draft.joints.append(drafted)
 
     def position(self, draft: BodyDraft, joint: JointDraft, parent: str, child: str, frames: dict[str, Pose]) -> float:
-        """Return the position of a joint: the motion of its child along its axis relative to zero."""
+        """Return the current position of a joint, which is the motion of its child along the axis relative to zero."""
         X_WP = draft.X_WO if parent not in self.bodies else self.bodies[parent].X_WB @ frames[parent]
         moved = joint.X_PC.inverse() @ X_WP.inverse() @ self.bodies[child].X_WB @ frames[child]
         axis = joint.axis / np.linalg.norm(joint.axis)
@@ -308,7 +313,10 @@ class _UsdReader:
         return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:
-        """Name an object, its links and joints after their prims; until then, paths are used, as names may repeat."""
+        """Rename an object, its links and its joints after their prims.
+
+        Until this step, they are identified by path because prim names are not unique.
+        """
         bodies = [path for path in draft.links if path in self.bodies]
         names = {"base": "base"}
         for path in bodies:
@@ -326,19 +334,19 @@ class _UsdReader:
             taken.add(joint.name)
 
     def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
-        """Return for each body path its draft and link, and the link frame in the world of the stage."""
+        """Return the body draft, the link, and the pose of the link frame in the world for each body path."""
         return {
             path: (draft, link, self.bodies[path].X_WB @ self.bodies[path].X_BL)
             for path, (draft, link) in self.placed_links.items()
         }
 
     def object_name(self, paths: list[str]) -> str:
-        """Return the name of the common parent prim of all bodies of an object, unless it is the stage root."""
+        """Return a name for an object: the name of its bodies' common parent prim unless that is the stage root."""
         first, *others = paths
         shared = posixpath.commonpath([posixpath.dirname(first), *others]).rpartition("/")[2]
         return shared if shared and others else str(self.bodies[first].prim.GetName())
 
     def colliders(self, body: UsdBody) -> list[Any]:
-        """Return the colliders of a rigid body."""
+        """Return all collider prims that belong to a rigid body."""
         below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
         return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

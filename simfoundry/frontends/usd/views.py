@@ -1,4 +1,4 @@
-"""Read the cameras and lights of a USD stage."""
+"""Read the cameras and lights in a USD stage."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.scene.model import LightType
 
 WIDTH = 640
-"""Image width [px] of a camera, because USD specifies only the aspect ratio: the default for MuJoCo cameras."""
+"""Image width of cameras [px], as in MuJoCo by default; USD specifies only the aspect ratio."""
 
 LIGHTS = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
-"""Kinds of UsdLux lights; :data:`FULL` has the intensity with which each fully lights a white surface."""
+"""Light types by UsdLux prim type; :data:`FULL` contains the intensity at which each fully lights a white surface."""
 
 BRIGHTEST = 20.0
-"""Lights brighter than this are intended for a camera with an exposure: those in Omniverse have thousands."""
+"""Intensity above which a light is assumed to be meant for a camera with exposure; Omniverse uses thousands."""
 
 Matrix = Callable[[Any], Array]
 Mounts = dict[str, tuple[BodyDraft, str, Pose]]
 
 
 def _pose(X_WP: Array) -> Pose:
-    """Return the frame without its scale; mirroring is removed."""
+    """Return the pose of a transform without scale or mirroring."""
     u, _, v = np.linalg.svd(X_WP[:3, :3])
     return Pose.of(X_WP[:3, 3], quat_from_matrix(u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v))
 
 
 def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
-    """Add perspective cameras; cameras below a rigid body are attached to its link."""
+    """Add all perspective cameras; cameras below a rigid body are attached to its link."""
     for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
         camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
         names = ("focalLength", "horizontalAperture", "verticalAperture", "horizontalApertureOffset",
                  "verticalApertureOffset")  # fmt: skip
         focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in names)
         if camera.GetProjectionAttr().Get() != "perspective":
-            draft.dropped(what, "it is orthographic, and cameras are pinholes here")
+            draft.dropped(what, "it is orthographic, and only pinhole cameras are supported")
             continue
         if min(focal, across, up) <= 0:
             draft.dropped(what, "its focal length or aperture is not positive")
             continue
         height = max(1, round(WIDTH * up / across))
-        draft.assumed(f"picture size of {what}", f"none is given; {WIDTH} px wide")
+        draft.assumed(f"image size of {what}", f"the stage specifies none; a width of {WIDTH} px is assumed")
         X_WC = _pose(matrix(prim)) @ X_CU
         drafted = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WC)
         if right or above:
@@ -61,12 +61,12 @@ def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, m
 
 
 def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
-    """Add distant, sphere and dome lights; others are recorded."""
+    """Add distant, sphere and dome lights, and record all other lights as dropped."""
     kinds = (pxr.UsdLux.BoundableLightBase, pxr.UsdLux.NonboundableLightBase)
     for prim in (prim for prim in prims if any(prim.IsA(kind) for kind in kinds)):
         type_name, path = prim.GetTypeName(), prim.GetPath()
         if type_name not in LIGHTS:
-            draft.dropped(f"light `{path}`", "lights here are distant, points or domes", type_name)
+            draft.dropped(f"light `{path}`", "only distant, sphere and dome lights are supported", type_name)
             continue
         kind, light = LIGHTS[type_name], pxr.UsdLux.LightAPI(prim)
         strength = float(light.GetIntensityAttr().Get()) * 2 ** float(light.GetExposureAttr().Get()) / FULL[kind]
@@ -75,9 +75,9 @@ def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) ->
         x, y, z = X_WP.p.tolist()
         dx, dy, dz = (np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0).tolist()
         if kind is LightType.DOME and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
-            draft.dropped(f"texture of light `{path}`", "a dome has one color here")
+            draft.dropped(f"texture of light `{path}`", "a dome light can only have a uniform color")
         if strength > BRIGHTEST:
-            why = "it is for a camera with an exposure; here 1 is full light"
+            why = "it assumes a camera with exposure and was reduced to 1, which fully lights a white surface"
             draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
         draft.lights.append(LightDraft(prim.GetName(), kind.value, strength, (r, g, b), (dx, dy, dz), (x, y, z)))

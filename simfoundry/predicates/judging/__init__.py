@@ -1,1 +1,1 @@
-"""Measure and judge predicates: bodies and states of a scene, terms with margins, and the judge."""
+"""Measurement and evaluation of predicates: bodies and states of a scene, terms with margins, and the judge."""

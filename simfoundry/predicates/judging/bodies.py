@@ -1,4 +1,4 @@
-"""Collision bodies for predicates: the prepared colliders of every link, and the lookup of arguments by name."""
+"""Collision bodies for predicates: preprocessed colliders of each link, and the lookup of arguments by name."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 
 class PredicateError(SimfoundryError, ValueError):
-    """A predicate that cannot be judged in this scene; the message states the reason and the alternatives."""
+    """An error raised if a predicate cannot be evaluated in a scene; the message explains why."""
 
 
 class NoCavityError(PredicateError):
-    """A predicate that requires a cavity in an object without one."""
+    """An error raised if a predicate requires a cavity but the object does not have one."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody:
-    """An object or a robot: ``item``, whose links have ``forms``; None for a link without a shape."""
+    """An object or a robot as an ``item``, with the ``forms`` of its links; the form is None without a shape."""
 
     item: SceneObject
     forms: tuple[Form | None, ...]
@@ -35,18 +35,18 @@ class CollisionBody:
 
     @property
     def name(self) -> str:
-        """Name of the object or robot."""
+        """The name of the object or robot."""
         return self.item.name
 
     @cached_property
     def parents(self) -> dict[int, tuple[int, Joint]]:
-        """Parent link of each link except the first, and the joint between them, by index."""
+        """The parent link of each link except the first, and the joint that connects them, by index."""
         numbers = {link.name: k for k, link in enumerate(self.item.links)}
         return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
 
     @cached_property
     def turns(self) -> dict[int, Turn]:
-        """Rotations about the axis of the joint that moves each link except the first, by index."""
+        """The rotation about the joint axis for each link except the first, by index."""
         return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
@@ -55,7 +55,7 @@ class CollisionBody:
 
 
 class Entity(NamedTuple):
-    """Links of a body, by index, that an argument refers to; bounding boxes use the frame of the first link."""
+    """The links of a body, by index, that an argument refers to; bounding boxes use the frame of the first link."""
 
     name: str
     owner: str
@@ -64,14 +64,14 @@ class Entity(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """Joints with limits of one object that an argument refers to."""
+    """The joints of one object that an argument refers to; all of them have limits."""
 
     owner: str
     joints: tuple[Joint, ...]
 
 
 class Bodies:
-    """Bodies of a scene by name, objects and robots, prepared once."""
+    """The bodies in a scene, which are its objects and robots, by name; each body is prepared once."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -88,7 +88,7 @@ class Bodies:
         return self._bodies[name]
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """Collision shapes of each link of all bodies, by the name of the body and the index of the link."""
+        """Return the collision shapes of each link of all bodies, by the name of the body and the index of the link."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in (self[name].item for name in (*self.objects, *self.robots))
@@ -96,7 +96,7 @@ class Bodies:
         }
 
     def thing(self, argument: str) -> Entity:
-        """Return the entity that an argument names: ``object``, ``object.link``, ``object.joint`` or a robot."""
+        """Return the entity that an argument refers to: ``object``, ``object.link``, ``object.joint`` or a robot."""
         owner, _, part = argument.partition(".")
         body = self._body(owner)
         links = body.item.links
@@ -109,7 +109,7 @@ class Bodies:
             name = part if any(link.name == part for link in links) else moved.get(part)
             if name is None:
                 there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
-                raise PredicateError(f"`{owner}` has no link or joint `{part}`; there are: {there}")
+                raise PredicateError(f"`{owner}` has no link or joint `{part}`; available links and joints: {there}")
             chosen: tuple[int, ...] = (body.index(name),)
         else:
             chosen = tuple(range(len(links)))
@@ -118,7 +118,11 @@ class Bodies:
         return Entity(argument, owner, chosen, not part)
 
     def hollow_links(self, thing: Entity) -> tuple[int, ...]:
-        """Links of an entity that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
+        """Return the indices of an entity's links that have a cavity.
+
+        Raises:
+            NoCavityError: If none of the links has a cavity.
+        """
         from simfoundry.geometry.cavity import cavity
 
         if thing not in self._hollow:
@@ -127,18 +131,18 @@ class Bodies:
             self._hollow[thing] = found
         if not self._hollow[thing]:
             raise NoCavityError(
-                f"`{thing.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow"
+                f"`{thing.name}` has no cavity, so nothing can be inside it: its colliders do not enclose any space"
             )
         return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
-        """Joints with limits that an argument names: one, or all of an object."""
+        """Return the joints that an argument refers to: a single joint, or all joints of an object that have limits."""
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
         moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
         if part and not moving:
             there = ", ".join(j.name for j in item.joints if j.has_axis) or "none"
-            raise PredicateError(f"`{owner}` has no joint `{part}` with limits; there are: {there}")
+            raise PredicateError(f"`{owner}` has no joint `{part}` with limits; available joints: {there}")
         ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
         if not ended or (part and len(ended) < len(moving)):
             raise PredicateError(f"no joint of `{argument}` has limits, so its closed position is undefined")
@@ -152,7 +156,9 @@ class Bodies:
             raise PredicateError(
                 f"no model of robot `{name}` was found, so its shape is unknown; run `simfoundry doctor` for details"
             )
-        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
+        raise PredicateError(
+            f"there is no `{name}` in this scene; available objects and robots: {', '.join(names) or 'none'}"
+        )
 
 
 def _robot_object(robot: Robot) -> RobotObject | None:
@@ -165,6 +171,6 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 @lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
-    """Form of a link, cached so that scenes with a common object measure it once."""
+    """Return the form of a link; it is cached, so that scenes with a common object compute it only once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

@@ -1,4 +1,4 @@
-"""Distances between objects in many states: bounds for all of them, exact values if the bounds are inconclusive."""
+"""Distances between entities in many states: bounds first, and exact values where the bounds are inconclusive."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.predicates.judging.view import Balls, View
 
 FAR = 0.05
-"""Distance [m] beyond which values are lower bounds."""
+"""Distance [m] beyond which values are only lower bounds."""
 
 FLATTEST = math.cos(math.radians(80.0))
-"""Least cosine with up of a wall's push that helps to support an object."""
+"""Minimum cosine between the vertical and the push of a wall for the push to contribute to the support of an object."""
 
 
 class Distances:
-    """Distances between the bodies of one scene.
+    """Distances between the bodies in a scene.
 
-    With ``bounds_first`` thresholds are decided by bounds even in few states, and MuJoCo is loaded only if these are
-    inconclusive; the verdicts are the same, but the reported numbers are not exact distances.
+    If ``bounds_first`` is set, thresholds are decided from bounds even for few states, and MuJoCo is only loaded if the
+    bounds are inconclusive. The verdicts are the same, but the reported values are not exact distances.
     """
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
@@ -47,11 +47,12 @@ class Distances:
         return Exact(self._bodies.link_shapes())
 
     def between(self, view: View, a: Entity, b: Entity, threshold: float | None = None) -> Array:
-        """Signed distance [m] between two entities, (n,), negative if they overlap; inf if one has no colliders.
+        """Return the signed distance [m] between two entities, shape (n,).
 
-        Exact below :data:`FAR`; beyond, between :data:`FAR` and the true distance. For more than :data:`FEW` states
-        with a ``threshold`` [m], only the side of the threshold is exact: below it, the value is an upper bound; above
-        it, a lower bound.
+        The distance is negative if they overlap, and inf if either entity has no colliders. Distances below :data:`FAR`
+        are exact; larger distances are returned as values between :data:`FAR` and the true distance. For more than
+        :data:`FEW` states with a ``threshold`` [m], only the comparison with the threshold is exact: values below it
+        are upper bounds, and values above it are lower bounds.
         """
         limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
         balls, lowers = _balls_apart(view, a, b)
@@ -74,12 +75,13 @@ class Distances:
         return np.asarray(out)
 
     def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
-        """Return the distance of ``a`` from ``b`` [m] and the cosine between up and the push of ``b``, (n,) each.
+        """Return the distance [m] from ``b`` to ``a``, and the cosine between the vertical and the push of ``b``, (n,)
+        each.
 
-        The second is the largest cosine between up and the direction from a part of ``b`` within ``limit`` [m] to a
-        part of ``a``; -1 if no part is that close. If several parts push together, as the walls of a funnel do, it is
-        that of the steepest combined direction. For more than :data:`FEW` states, only the sides of ``limit`` and
-        ``steepest`` are exact.
+        The cosine is the largest one for any direction from a part of ``b`` to a part of ``a`` that is within ``limit``
+        [m] of it, or -1 if no parts are that close. If several parts push together, like the walls of a funnel, it is
+        the cosine of their steepest combined direction. For more than :data:`FEW` states, only the comparisons with
+        ``limit`` and ``steepest`` are exact.
         """
         many = view.n > FEW or self._bounds_first
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
@@ -121,11 +123,11 @@ class Distances:
         return gap, cosine
 
     def _measured(self, pair: LinkPair, most: Array) -> Array:
-        """Distances [m] of two links where they are below ``most`` [m]."""
+        """Return the distances [m] between two links where they are below ``most`` [m]."""
         return self._exact.distance(pair, candidates(pair, most), most)
 
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
-        """Bounds of the distances of two links that lie on the correct side of a threshold."""
+        """Return bounds on the distances between two links that are on the correct side of a threshold."""
         found, open_ = box_bounds(pair, threshold)
         if self._bounds_first:
             open_ = decide_distances(pair, threshold, found, open_)
@@ -138,9 +140,9 @@ class Distances:
 
 
 def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls], Array]:
-    """Bounding balls of two entities' links, and the gaps between them [m], (n, links of a, links of b).
+    """Return the bounding balls of two entities' links, and the gaps between them [m], (n, links of a, links of b).
 
-    A link is infinitely far from itself.
+    The gap between a link and itself is infinite.
     """
     first, second = view.balls(a), view.balls(b)
     off = first.center[:, :, None] - second.center[:, None]

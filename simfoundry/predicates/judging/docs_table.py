@@ -1,4 +1,4 @@
-"""Write the table of docs/predicates.md: ``python -m simfoundry.predicates.judging.docs_table``."""
+"""Generate the table in docs/predicates.md: ``python -m simfoundry.predicates.judging.docs_table``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def table() -> str:
 
 
 def main() -> None:
-    """Write the table into the page."""
+    """Write the table to the documentation page."""
     text = PAGE.read_text(encoding="utf-8")
     before, _, rest = text.partition(START)
     PAGE.write_text(before + START + table() + END + rest.partition(END)[2], encoding="utf-8")

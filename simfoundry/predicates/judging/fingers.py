@@ -1,4 +1,4 @@
-"""Fingers of a robot's gripper, and whether they hold an object between them."""
+"""The fingers of a gripper, and a test of whether they hold an object between them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.robot import Gripper, mujoco_model
 
 STILL = 0.001
-"""Least motion [m] of a link when the gripper closes for it to count as a finger."""
+"""Minimum motion [m] for a link to count as a finger when the gripper closes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fingers:
-    """Two sides of a gripper as entities.
+    """The two sides of a gripper as entities.
 
-    ``axis`` is the unit vector in the frame of link ``base`` along which the first side closes; the second closes in
-    the opposite direction.
+    ``axis`` is a unit vector in the frame of link ``base``. The first side closes along ``axis``, and the second side
+    closes in the opposite direction.
     """
 
     sides: tuple[Entity, Entity]
@@ -32,7 +32,7 @@ class Fingers:
 
 
 def fingers(bodies: Bodies, name: str) -> Fingers | None:
-    """Find the fingers of a robot by the links that its gripper moves, and their directions; None without a gripper."""
+    """Find a robot's fingers from the motion of its links when the gripper closes; return None without a gripper."""
     body = bodies[name]
     native = mujoco_model(bodies.scene.robot(name))
     if body.robot is None or native is None or native.gripper is None:
@@ -56,13 +56,13 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
     axis = (ways[0] - ways[1]) / np.linalg.norm(
         ways[0] - ways[1]
-    )  # a common motion, such as reaching out, is not part of closing
+    )  # motion that both sides share, such as extending, is not part of closing
     sides = Entity(name, name, first, False), Entity(name, name, second or (base,), False)
     return Fingers(sides, base, axis)  # a single jaw closes against the palm
 
 
 def _positions(body: CollisionBody, gripper: Gripper, end: int) -> dict[str, Array]:
-    """Positions of the gripper's joints, open (0) or closed (1)."""
+    """Return the positions of the gripper's joints when it is open (``end`` is 0) or closed (1)."""
     assert body.robot is not None
     at = {joint: pair[end] for joint, pair in gripper.joints.items()}
     for joint, follow in gripper.follow.items():
@@ -85,7 +85,7 @@ def _carrier(body: CollisionBody, gripper: Gripper) -> int:
 
 
 def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Entity) -> Array:
-    """Margin by which any of the hands holds an object [m], (n,), at least -:data:`FAR`."""
+    """Return the margin [m] by which any of the hands holds an object, shape (n,); at least -:data:`FAR`."""
     best = np.full(view.n, -FAR)
     for hand in hands:
         margin = TOUCH - np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
@@ -97,10 +97,10 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
-    """Decrease in distance, or increase in penetration, of a side closed by :data:`PRESS` [m], (n,).
+    """Return the decrease in distance to the object when a side of the gripper closes by :data:`PRESS` [m], (n,).
 
-    The result is the smaller of those of the two sides. A side that touches the object without holding it slides along
-    it.
+    An increase in penetration counts as a decrease in distance. The result is the smaller value of the two sides. It is
+    small for a side that touches the object without holding it, because that side slides along the object.
     """
     X_WB = view.link(hand.sides[0].owner, hand.base)
     way = X_WB.R @ hand.axis
@@ -112,7 +112,7 @@ def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> 
 
 
 def shifted(view: View, thing: Entity, offset: Array) -> View:
-    """Return the same states with the links of one entity translated by ``offset`` [m], (n, 3)."""
+    """Return the same states with the links of one entity translated by ``offset`` [m], shape (n, 3)."""
     other = view.at(np.arange(view.n))
     for k in thing.links:
         X_WL = view.link(thing.owner, k)

@@ -1,4 +1,4 @@
-"""Judge conditions in one state or in many at once: value, margin and explanation."""
+"""Evaluation of conditions in one state or in many states at once, with values, margins and explanations."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parse_call, parts
 
 Explain = Callable[[float, bool], str]
-"""Function from a term's value, and whether the term holds, to its explanation, which may be empty."""
+"""Function that explains a term, given its value and whether it holds; the explanation may be empty."""
 
 
 class Context:
-    """Measurements prepared once for a scene."""
+    """Measurements that are prepared once for each scene."""
 
     def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self.bodies = bodies
@@ -34,24 +34,27 @@ class Context:
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:
-        """Fingers of the robots with a gripper, by robot."""
+        """The fingers of all robots that have a gripper, by robot."""
         found = {name: fingers(self.bodies, name) for name in self.bodies.robots}
         return {name: hand for name, hand in found.items() if hand is not None}
 
     @cached_property
     def start(self) -> View:
-        """Initial state of the scene as a batch of one."""
+        """The initial state of the scene, as a batch of one state."""
         return View(self.bodies, StateBatch(1, {}))
 
     def others(self, *things: Entity) -> list[Entity]:
-        """Objects with a shape to which none of ``things`` belongs."""
+        """Return all objects with a shape to which none of ``things`` belongs."""
         owners = {thing.owner for thing in things}
         names = (name for name in self.bodies.objects if name not in owners)
         return [self.bodies.thing(name) for name in names if any(self.bodies[name].forms)]
 
 
 class Term(NamedTuple):
-    """One decisive quantity: its ``value`` and ``margin``, (n,); NaN if an earlier term was decisive."""
+    """A quantity that contributes to the decision, with its ``value`` and ``margin``, shape (n,).
+
+    Both are NaN in states in which an earlier term was decisive.
+    """
 
     value: Array
     margin: Array
@@ -63,7 +66,7 @@ class Term(NamedTuple):
 
 
 class Terms:
-    """Terms of one predicate in the states of ``view``, in the order in which its rule adds them."""
+    """The terms of one predicate in the states of ``view``, in the order in which the predicate's rule adds them."""
 
     def __init__(self, context: Context, view: View) -> None:
         self.context, self.view = context, view
@@ -71,14 +74,14 @@ class Terms:
         self.margin: Array = np.full(view.n, np.inf)
 
     def require(self, value: Array, margin: Array, explain: Explain) -> None:
-        """Add a term that is known in every state."""
+        """Add a term whose value is known in every state."""
         self.terms.append(Term(value, margin, explain))
         self.margin = np.minimum(self.margin, margin)
 
     def require_if_open(
         self, measure: Callable[[View], Array], margin: Callable[[Array], Array], explain: Explain
     ) -> None:
-        """Add a term that is slow to measure, only in the states in which every term so far holds.
+        """Add a term that is slow to measure; it is evaluated only in states in which all previous terms hold.
 
         ``measure`` returns the values in these states, and ``margin`` converts values to margins.
         """
@@ -105,24 +108,24 @@ class Terms:
             )
 
     def gap_text(self, a: Entity, b: Entity, value: float) -> str:
-        """Explain a distance [m] between two entities."""
+        """Return an explanation of the distance [m] between two entities."""
         if not np.isfinite(value):
             return f"`{a.name}` or `{b.name}` has no colliders"
         return f"`{a.name}` is {length(value)} away from `{b.name}`" if value > 0 else f"`{a.name}` touches `{b.name}`"
 
     def explanation(self, k: int) -> str:
-        """Return the terms that fail in the k-th state, or all of them if none does."""
+        """Explain the terms that fail in the k-th state, or all terms if none of them fails."""
         known = [term for term in self.terms if not np.isnan(term.margin[k])]
         failed = [term for term in known if not term.margin[k] > 0]
         return "; ".join(text for term in failed or known if (text := term.text(k)))
 
 
 CHUNK = 4096
-"""Number of states judged at once: their arrays fit in the processor's cache."""
+"""Number of states evaluated at once, chosen so that their arrays fit in the processor's cache."""
 
 
 class Verdict(NamedTuple):
-    """The value of a condition, its margin in the predicate's unit, positive if it holds, and the explanation."""
+    """The value of a condition, its margin in the predicate's unit (positive if it holds), and an explanation."""
 
     value: bool
     margin: float
@@ -130,14 +133,17 @@ class Verdict(NamedTuple):
 
 
 class Judge:
-    """Judges conditions on states of one scene; preprocessed data of the scene is kept.
+    """Evaluates conditions on states of one scene; preprocessed scene data is reused.
 
-    A condition is a text, ``"OnTop(cup, desk)"``, or several combined by ``all``, ``any`` and ``not``, as data or as
-    the models of :mod:`simfoundry.spec.models.predicate`. Raises :class:`ExpressionError` for invalid conditions and
-    :class:`PredicateError` for conditions that cannot be judged in this scene.
+    A condition is text such as ``"OnTop(cup, desk)"``, or a combination of conditions with ``all``, ``any`` and
+    ``not``, given as plain data or as the models in :mod:`simfoundry.spec.models.predicate`.
 
-    With ``bounds_first`` values are the same, but margins and explanations may contain bounds instead of distances, and
-    MuJoCo is loaded only if bounds are inconclusive.
+    If ``bounds_first`` is set, the values are the same, but margins and explanations may contain bounds instead of
+    distances, and MuJoCo is only loaded if the bounds are inconclusive.
+
+    Raises:
+        ExpressionError: If a condition is invalid.
+        PredicateError: If a condition cannot be evaluated in this scene.
     """
 
     def __init__(self, scene: Scene, bounds_first: bool = False) -> None:
@@ -146,12 +152,12 @@ class Judge:
         self._calls: dict[str, tuple[Callable[..., None], list[Any]]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
-        """Return the verdict on one state."""
+        """Evaluate a condition in a single state."""
         value, margin, why = self._judged(condition, View(self._context.bodies, StateBatch.of(self.scene, [state])))
         return Verdict(bool(value[0]), float(margin[0]), why(0))
 
     def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
-        """Return values and margins in n states, shape (n,) each."""
+        """Return the values and margins of a condition in n states, shape (n,) each."""
         values, margins = np.zeros(batch.n, bool), np.zeros(batch.n)
         for start in range(0, batch.n, CHUNK):
             index = np.arange(start, min(start + CHUNK, batch.n))
@@ -160,10 +166,10 @@ class Judge:
         return values, margins
 
     def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
-        """Return the values of several conditions in n states, (n,) each, by name.
+        """Return the values of several named conditions in n states, shape (n,) each.
 
-        Faster than :meth:`batch` for each: the conditions share poses and verdicts, and a part of a condition is judged
-        only if the parts before it are inconclusive in some state.
+        This is faster than calling :meth:`batch` for each condition: the conditions share poses and verdicts, and a
+        part of a condition is only evaluated if the parts before it are inconclusive in at least one state.
         """
         found = {name: np.zeros(batch.n, bool) for name in conditions}
         for start in range(0, batch.n, CHUNK):
@@ -175,7 +181,7 @@ class Judge:
         return found
 
     def _value(self, condition: Any, view: View, known: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Values of a condition; ``known`` holds the values of predicates judged before, by their text."""
+        """Return the values of a condition; ``known`` caches the values of evaluated predicates by their text."""
         tag, below = parts(condition)
         if tag == "text":
             if condition not in known:
@@ -193,14 +199,14 @@ class Judge:
         return value
 
     def _arguments(self, call: Call) -> list[Any]:
-        """Return the arguments as the rule expects them: entities, joints and numbers according to their kinds."""
+        """Convert the arguments of a call to the types that its rule expects: entities, joints and numbers."""
         bodies = self._context.bodies
         read: dict[str, Callable[[str], Any]] = {"joint": bodies.joints, "number": float}
         found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
         things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
         for a, b in combinations(things, 2):
             if a.owner == b.owner and set(a.links) & set(b.links):
-                raise PredicateError(f"`{call}` names one object twice")
+                raise PredicateError(f"`{call}` refers to the same object twice")
         return found
 
     def _judged(self, condition: Any, view: View) -> _Judged:
@@ -233,7 +239,10 @@ class _Judged(NamedTuple):
 
 
 class _Reasons(NamedTuple):
-    """Explanations of several conditions: of those that ``decide`` if there are any, else of all."""
+    """The combined explanation of several conditions.
+
+    Only the conditions with the value ``decide`` are included, or all of them if no condition has that value.
+    """
 
     judged: list[_Judged]
     decide: bool

@@ -1,4 +1,4 @@
-"""Measurements of single predicates: support from below, depth in a cavity, and parts met by plumb lines."""
+"""Measurements used by single predicates: support from below, depth in a cavity, and intersections of plumb lines."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from simfoundry.scene.lengths import length
 
 
 class Meeting(NamedTuple):
-    """Depths of the plumb lines of one entity in the parts of another over and under it [m], (n,) each.
+    """The depths [m] at which plumb lines through one entity hit parts of another entity over and under it, (n,) each.
 
-    Each is the smaller of two values: the depth of the line within the other's outline, and the distance on that line
-    by which the other extends beyond the end of the first. Negative if nothing is hit.
+    Each depth is the smaller of two values: the distance of the line from the outline of the part, and the length by
+    which the part extends beyond the end of the first entity along the line. It is negative if nothing is hit.
     """
 
     over: Array
@@ -38,7 +38,7 @@ class Meeting(NamedTuple):
 
 
 def meet(view: View, a: Entity, b: Entity) -> Meeting:
-    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` intersects outside of ``a``."""
+    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` intersects outside ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
     found = list(_chords_of(view, points, b))
@@ -60,7 +60,10 @@ def meet(view: View, a: Entity, b: Entity) -> Meeting:
 
 
 def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
-    """Ends of plumb lines through points in the entity itself, over the points [m], (n,); 0 if they miss it."""
+    """Return the ends of plumb lines within the entity itself, relative to the given points [m], (n,).
+
+    Both ends are 0 if the line does not hit the entity.
+    """
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
@@ -70,7 +73,7 @@ def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
 
 
 def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index, Array, Array, Array]]:
-    """Chords of plumb lines in each link of an entity; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
+    """Yield the chords of plumb lines in each link; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
     for k, form in view.forms(thing):
         found = chords_of(form, view.link(thing.owner, k), points)
         if len(found[0]):
@@ -78,18 +81,18 @@ def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index
 
 
 def _beside(view: View, points: Array, b: Entity) -> Array:
-    """Distance of points along the ground from the middle of an entity's bounding box [m], (n,)."""
+    """Return the horizontal distance [m] between points and the middle of an entity's bounding box, shape (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
 
 
 SAMPLES = 64
-"""Number of sample points of an object whose depth is measured."""
+"""Number of points sampled in an object to measure its depth in a cavity."""
 
 
 def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
-    """Cavities of an entity's links in their current orientations: the index of the link, and its states.
+    """Return the cavities of an entity's links in their current orientations, with the link index and the states.
 
-    The up axis of a cavity is the link axis nearest to up.
+    The up axis of a cavity is the link axis closest to the vertical.
     """
     found = []
     for k in view.bodies.hollow_links(b):
@@ -105,9 +108,9 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 
 
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
-    """Depth [m] of the share :data:`ENCLOSED` of ``a`` in a cavity of ``b`` that is not turned down, (n,).
+    """Return the depth [m] in a cavity of ``b`` that the fraction :data:`ENCLOSED` of ``a`` reaches, shape (n,).
 
-    -inf if ``b`` is turned so that it cannot contain anything.
+    The depth is -inf if ``b`` is turned so far that it cannot contain anything.
     """
     out = np.full(view.n, -np.inf)
     for k, hole, states in held_upward(view, b):
@@ -120,9 +123,9 @@ def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
 
 
 def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
-    """Depth [m] that the share :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity, (n,).
+    """Return the depth [m] that the fraction :data:`ENCLOSED` of the volume of ``a`` reaches in a cavity, shape (n,).
 
-    Negative outside the cavity: the distance, or a bound of it if all of ``a`` is far outside.
+    Outside the cavity, the depth is the negative distance, or a bound on it if all of ``a`` is far outside.
     """
     X_WB = view.link(owner, k)
     out = np.full(view.n, np.inf)
@@ -151,7 +154,7 @@ def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
 
 
 def _counts(view: View, a: Entity) -> list[int]:
-    """Number of samples of each link, in proportion to its mass."""
+    """Return the number of samples for each link, in proportion to its mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -161,27 +164,30 @@ def _counts(view: View, a: Entity) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """Margin before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
+    """Return the margin [m] before the opening of a cavity faces too far down, shape (n,).
+
+    The margin is scaled by the depth of the cavity.
+    """
     X_WB = view.link(owner, k)
     up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
     return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))
 
 
 def least_cosine(context: Context, a: Entity, b: Entity) -> float:
-    """Least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
+    """Return the minimum cosine between the vertical and the normal of a contact through which ``b`` supports ``a``."""
     friction = math.sqrt(_friction(context, a) * _friction(context, b))
     return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
 
 
 def _friction(context: Context, thing: Entity) -> float:
-    """Mean friction coefficient of an entity's colliders; 0 if it has none."""
+    """Return the mean friction coefficient of an entity's colliders, or 0 if it has none."""
     links = context.bodies[thing.owner].item.links
     found = [collider.friction for k in thing.links for collider in links[k].colliders]
     return sum(found) / len(found) if found else 0.0
 
 
 class SupportContact:
-    """Distance and push between two entities, measured together in the states that are still undecided."""
+    """The distance and push between two entities, measured together in states that are still undecided."""
 
     def __init__(self, context: Context, a: Entity, b: Entity) -> None:
         self.context, self.a, self.b = context, a, b
@@ -190,7 +196,10 @@ class SupportContact:
         self._rival: NDArray[np.bool_] = np.zeros(0, bool)
 
     def gap(self, view: View) -> Array:
-        """Return the distance [m], (n,); store the push, and the states in which a closer object supports ``a``."""
+        """Return the distance [m], shape (n,).
+
+        The push and the states in which a closer object supports ``a`` are stored.
+        """
         support = self.context.distances.support
         gap, up = support(view, self.a, self.b, CLOSE, self.least_cosine)
         self._rival = np.zeros(view.n, bool)
@@ -205,18 +214,19 @@ class SupportContact:
         return gap
 
     def margin(self, gap: Array) -> Array:
-        """Return the margin [m] of the distances that :meth:`gap` returned, (n,)."""
+        """Return the margin [m] for distances returned by :meth:`gap`, shape (n,)."""
         return np.asarray(np.where(self._rival, CLOSE, TOUCH) - gap)
 
     def push(self, _: View) -> Array:
-        """Return the cosine between up and the push in the states with a positive margin."""
+        """Return the cosine between the vertical and the push in the states with a positive margin."""
         return self._up
 
 
 def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
-    """Distance of the center of mass of ``a`` from the edge of the outline of ``b``, positive inside [m], (n,).
+    """Return the distance [m] of the center of mass of ``a`` from the edge of the outline of ``b``, shape (n,).
 
-    If the center of mass is beside ``b`` and another object touches ``a`` too, the margin of that contact instead.
+    It is positive inside the outline. If the center of mass is outside and another object also touches ``a``, the
+    margin of that contact is returned instead.
     """
     within = over(center_of_mass(view, a), view.boxes(b))
     for other in context.others(a, b):
@@ -228,7 +238,7 @@ def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
 
 
 def center_of_mass(view: View, a: Entity) -> Array:
-    """Center of mass of an entity [m], (n, 3); the middle of its bounding box if it has no mass."""
+    """Return the center of mass of an entity [m], shape (n, 3), or the middle of its bounding box if it has no mass."""
     links = view.bodies[a.owner].item.links
     masses = [links[k].mass for k in a.links]
     if sum(masses) <= 0:
@@ -241,24 +251,25 @@ def center_of_mass(view: View, a: Entity) -> Array:
 
 
 def balance_text(a: Entity, b: Entity, value: float) -> str:
-    """Explain :func:`balance`."""
+    """Return an explanation of the result of :func:`balance`."""
     if value > 0:
         return f"it supports `{a.name}`"
     return (
-        f"`{a.name}` would fall: its center of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
+        f"`{a.name}` would fall: its center of mass is {length(-value)} to the side of `{b.name}`, and nothing else "
+        "touches it"
     )
 
 
 def push_text(a: Entity, b: Entity, cosine: float) -> str:
     """Explain why the push of ``b`` does not support ``a``."""
     if cosine < 0:
-        return f"`{b.name}` is over `{a.name}`, not under it"
+        return f"`{b.name}` is above `{a.name}`, not below it"
     off = np.degrees(np.arccos(min(cosine, 1.0)))
     return f"`{b.name}` pushes `{a.name}` sideways, {off:.0f} deg from straight up"
 
 
 def gap_to_others(context: Context, a: Entity, view: View) -> Array:
-    """Distance of ``a`` from the nearest object that it does not support [m], (n,)."""
+    """Return the distance [m] between ``a`` and the nearest object that it does not support, shape (n,)."""
     others = context.others(a)
     gaps = {b: context.distances.between(view, a, b, TOUCH) for b in others}
     load = supported_by(context, view, a, gaps)
@@ -267,9 +278,10 @@ def gap_to_others(context: Context, a: Entity, view: View) -> Array:
 
 
 def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
-    """Objects that ``a`` supports, directly or indirectly, (n,) each; ``gaps`` [m] are their distances from it.
+    """Return the states in which ``a`` supports each object, directly or indirectly, shape (n,) each.
 
-    Measured only in the states in which something touches ``a``.
+    ``gaps`` contains the distances [m] between the objects and ``a``. Support is only measured in states in which
+    something touches ``a``.
     """
     load = {b: np.zeros(view.n, bool) for b in gaps}
     touched = np.flatnonzero(np.any([gap <= TOUCH for gap in gaps.values()], axis=0)) if gaps else np.zeros(0, np.int64)
@@ -296,7 +308,7 @@ def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Arr
 
 
 def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
-    """True if ``a`` is no farther than ``limit`` [m] from ``b`` and ``b`` pushes it up, (n,)."""
+    """Return True if ``a`` is at most ``limit`` [m] away from ``b`` and ``b`` pushes it up, shape (n,)."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)
     return np.asarray((gap <= limit) & (up >= cosine))

@@ -1,33 +1,41 @@
-"""Thresholds shared by several predicates; those of a single predicate are in its module."""
+"""Thresholds shared by multiple predicates; thresholds used by a single predicate are in its module."""
 
 from __future__ import annotations
 
 TOUCH = 0.001
-"""Largest gap [m] between touching surfaces; equal to :data:`simfoundry.worlds.base.CONTACT_GAP`. Of 515 supporting
-pairs in MuJoCo and PyBullet, none had a gap (``python -m tests.corpora.placements``)."""
+"""Maximum gap [m] between touching surfaces, equal to :data:`simfoundry.worlds.base.CONTACT_GAP`. Among 515 supporting
+pairs in MuJoCo and PyBullet, none had a gap (``python -m tests.corpora.placements``).
+"""
 
 SETTLED = 0.01
-"""Largest speed [m/s] of an object at rest: contact jitter in the simulators stays below it."""
+"""Maximum speed [m/s] of an object at rest; contact jitter in the simulators stays below it."""
 
 CLOSE = 0.0002
-"""Distance [m] beyond which an object supports another only if no closer one does: a plank over three blocks, one of
-them too low, rests on two. Resting objects penetrate slightly in simulators, and placement leaves a gap of 0.1 mm."""
+"""Distance [m] beyond which an object supports another one only if no closer object does. For example, a plank over
+three blocks rests on only two of them if the third is too low. Resting objects penetrate each other slightly in
+simulators, and placement leaves a gap of 0.1 mm.
+"""
 
 SUPPORT_DEG = 45.0
-"""Largest angle [deg] between straight up and the push of a supporting object (Isaac Lab-Arena's rule); an object that
-pushes more sideways stands or leans beside it."""
+"""Maximum angle [deg] between straight up and the push of a supporting object (as in Isaac Lab-Arena). An object that
+pushes more sideways stands or leans beside the other object.
+"""
 
 FRICTION_SHARE = 0.5
-"""Share of the friction angle by which a push is closer to vertical than the surface normal. Geometry only determines
-that the push lies within the friction cone, so the middle of the upper half of the cone represents it. For 21 of 24
-boards that lean at 46 to 64 deg, this agrees with the contact forces (``python -m tests.corpora.placements``)."""
+"""Fraction of the friction angle by which a push is closer to vertical than the surface normal. Geometry alone only
+shows that the push lies within the friction cone, so the middle of the upper half of the cone represents it. For 21 of
+24 boards that lean at 46 to 64 deg, this agrees with the contact forces (``python -m tests.corpora.placements``).
+"""
 
 ENCLOSED = 0.5
-"""Least share of an object's volume that must be in a cavity for the object to be inside: the majority."""
+"""Minimum fraction of an object's volume that must be in a cavity for the object to be inside it: one half."""
 
 FACING_DOWN_DEG = 110.0
-"""Largest angle [deg] between up and the opening of a containing cavity: beyond it, the contents slide out."""
+"""Maximum angle [deg] between the vertical and the opening direction of a containing cavity; beyond it, the contents
+slide out.
+"""
 
 PRESS = 0.005
-"""Distance [m] by which a finger is moved toward the other to test if it presses on the object; the gap must decrease
-by half of it."""
+"""Distance [m] by which a finger is moved toward the other one to test if it presses on the object; the gap must
+decrease by at least half of this distance.
+"""

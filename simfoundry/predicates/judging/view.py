@@ -1,4 +1,4 @@
-"""Many states of the bodies of a scene as arrays; poses, bounding boxes and extents are computed on demand."""
+"""Many states of the bodies in a scene as arrays; poses, bounding boxes and extents are computed on demand."""
 
 from __future__ import annotations
 
@@ -17,11 +17,17 @@ from simfoundry.scene.state import SceneState
 
 @dataclass(frozen=True, eq=False)
 class StateBatch:
-    """``n`` states of one scene.
+    """A batch of ``n`` states of one scene.
 
-    ``poses`` are X_WO by object; ``joints`` are positions [rad or m] by ``object.joint``, shape (n,); ``motions`` are
-    those of ball and free joints as in :class:`SceneState`; ``robots`` are positions of a robot's joints by
-    ``robot.joint``, shape (n,); ``speeds`` [m/s] by object, shape (n,). Everything else is as in the scene, at rest.
+    Values that are not given are those of the scene at rest.
+
+    Attributes:
+        n: The number of states.
+        poses: The poses X_WO by object.
+        joints: The joint positions [rad or m] by ``object.joint``, shape (n,).
+        motions: The motions of ball and free joints, as in :class:`SceneState`.
+        robots: The positions of robot joints [rad or m] by ``robot.joint``, shape (n,).
+        speeds: The speeds [m/s] by object, shape (n,).
     """
 
     n: int
@@ -33,12 +39,12 @@ class StateBatch:
 
     @classmethod
     def of(cls, scene: Scene, states: Sequence[SceneState]) -> StateBatch:
-        """Return the states in their order; values missing from a state are those of the scene."""
+        """Combine states in order; values that are missing in a state are taken from the scene."""
         initial = SceneState.initial(scene)
         arms = {f"{r}.{j}": (r, j) for s in states for r, joints in s.robots.items() for j in joints}
         if any(r not in s.robots for r in (states[0].robots if states else ()) for s in states):
             raise ValueError(
-                "only some of the states have positions of the robots' joints; give them for all states or for none"
+                "only some of the states contain robot joint positions; provide them for all states or for none"
             )
         moving = {name for s in states for name in s.speeds}
         return cls(
@@ -51,7 +57,7 @@ class StateBatch:
         )
 
     def at(self, index: Index) -> StateBatch:
-        """Select states."""
+        """Return a batch with the selected states."""
 
         def taken(arrays: Mapping[str, Array]) -> dict[str, Array]:
             return {name: values[index] for name, values in arrays.items()}
@@ -61,7 +67,7 @@ class StateBatch:
 
 
 def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
-    """Convert the poses of each object in n states; all at once, because that costs hardly more than one."""
+    """Convert the poses of each object in n states, all at once because this is hardly slower than converting one."""
     every = [pose for each in poses.values() for pose in each]
     whole = Poses.of(np.array([x.p for x in every]).reshape(-1, 3), np.array([x.q for x in every]).reshape(-1, 4))
     n = len(every) // max(len(poses), 1)
@@ -73,10 +79,14 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Boxes(NamedTuple):
-    """Bounding box of an entity in its own frame, and one rotated by 45 degrees about its z axis.
+    """The bounding box of an entity in its own frame, and a second one rotated by 45 degrees about the z axis.
 
-    ``middle`` is the middle of the first [m] in the world, (n, 3). For both, as two rows: ``center`` [m] in the world,
-    (2, n, 3); ``half`` extents [m], (2, n, 3); ``R``, their axes, (2, n, 3, 3).
+    All arrays contain one row for each of the two boxes.
+
+    Attributes:
+        center: The centers in the world [m], (2, n, 3).
+        half: The half extents [m], (2, n, 3).
+        R: The axes as rotation matrices, (2, n, 3, 3).
     """
 
     center: Array
@@ -85,24 +95,27 @@ class Boxes(NamedTuple):
 
     @property
     def middle(self) -> Array:
-        """Middle of the first box [m], (n, 3)."""
+        """The middle of the first box in the world [m], shape (n, 3)."""
         return np.asarray(self.center[0])
 
     @property
     def reach(self) -> Array:
-        """Distance of the corners of the first box from its middle [m], (n,)."""
+        """The distance between the middle of the first box and its corners [m], shape (n,)."""
         return np.asarray(np.linalg.norm(self.half[0], axis=1))
 
     @property
     def size(self) -> Array:
-        """Mean extent of the first box [m], (n,)."""
+        """The mean extent of the first box [m], shape (n,)."""
         return np.asarray(2 * self.half[0].mean(axis=1))
 
 
 class Balls(NamedTuple):
-    """Links with a form, by index, and a bounding ball of each in n states.
+    """The bounding balls of links in n states.
 
-    ``center`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
+    Attributes:
+        links: The index and form of each link.
+        center: The centers in the world [m], (n, links, 3).
+        radius: The radii [m], (links,).
     """
 
     links: list[tuple[int, Form]]
@@ -111,7 +124,7 @@ class Balls(NamedTuple):
 
 
 class View:
-    """``n`` states of the bodies of a scene."""
+    """A view of ``n`` states of the bodies in a scene."""
 
     def __init__(self, bodies: Bodies, batch: StateBatch) -> None:
         self.bodies, self.batch, self.n = bodies, batch, batch.n
@@ -121,7 +134,7 @@ class View:
         self._balls: dict[Entity, Balls] = {}
 
     def at(self, index: Index) -> View:
-        """Select states."""
+        """Return a view of the selected states."""
         view = View(self.bodies, self.batch.at(index))
         view._links = {key: poses.at(index) for key, poses in self._links.items()}
         return view
@@ -129,7 +142,7 @@ class View:
     # -- poses ------------------------------------------------------------------------------------------------------
 
     def link(self, owner: str, k: int) -> Poses:
-        """Poses X_WL of the k-th link of a body."""
+        """Return the poses X_WL of the k-th link of a body."""
         key = (owner, k)
         if key not in self._links:
             item = self.bodies[owner].item
@@ -142,7 +155,7 @@ class View:
         return self._links[key]
 
     def place(self, owner: str, k: int, X_WL: Poses) -> None:
-        """Move the k-th link of a body; its child links stay."""
+        """Move the k-th link of a body without moving its child links."""
         self._links[owner, k] = X_WL
 
     def _moved(self, owner: str, k: int, joint: Joint, X_WZ: Poses) -> Poses:
@@ -158,22 +171,22 @@ class View:
         return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
-        """Position of a joint [rad or m], (n,)."""
+        """Return the position of a joint [rad or m], shape (n,)."""
         given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
         at = given.get(f"{owner}.{joint.name}")
         return np.full(self.n, joint.position) if at is None else at
 
     def frame(self, thing: Entity) -> Poses:
-        """Frame of an entity: that of its first link."""
+        """Return the frame of an entity, which is the frame of its first link."""
         return self.link(thing.owner, thing.links[0])
 
     def forms(self, thing: Entity) -> list[tuple[int, Form]]:
-        """Links of an entity that have a shape, by index."""
+        """Return the index and form of each link of an entity that has a shape."""
         forms = self.bodies[thing.owner].forms
         return [(k, form) for k in thing.links if (form := forms[k]) is not None]
 
     def balls(self, thing: Entity) -> Balls:
-        """Bounding balls of the solid links of an entity."""
+        """Return the bounding balls of the solid links of an entity."""
         if thing not in self._balls:
             solid = [(k, form) for k, form in self.forms(thing) if form.solid]
             centers = [self.link(thing.owner, k) for k, _ in solid]
@@ -185,7 +198,10 @@ class View:
     # -- extents ----------------------------------------------------------------------------------------------------
 
     def span(self, thing: Entity, axis: Array) -> tuple[Array, Array]:
-        """Lowest and highest coordinate [m] along one unit vector (3,), or one per state (n, 3); shape (n,)."""
+        """Return the minimum and maximum coordinates [m] of an entity along an axis, shape (n,) each.
+
+        ``axis`` is a unit vector with shape (3,), or one unit vector per state with shape (n, 3).
+        """
         low, high = np.full(self.n, np.inf), np.full(self.n, -np.inf)
         for k, form in self.forms(thing):
             X_WL = self.link(thing.owner, k)
@@ -199,13 +215,13 @@ class View:
         return low, high
 
     def heights(self, thing: Entity) -> tuple[Array, Array]:
-        """Lowest and highest point above the ground [m], (n,)."""
+        """Return the heights of the lowest and highest points above the ground [m], shape (n,) each."""
         if thing not in self._heights:
             self._heights[thing] = self.span(thing, UP)
         return self._heights[thing]
 
     def boxes(self, thing: Entity) -> Boxes:
-        """Bounding boxes of an entity."""
+        """Return the bounding boxes of an entity."""
         if thing not in self._boxes:
             forms, X_WF = self.forms(thing), self.frame(thing)
             if len(forms) == 1 and forms[0][0] == thing.links[0]:
@@ -219,7 +235,7 @@ class View:
 
 
 def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
-    """Compute boxes from the extents along :data:`TURNED` in the frame, (n, 5) each."""
+    """Compute boxes from the extents along :data:`TURNED` in the frame, shape (n, 5) each."""
     centers, halves, axes = [], [], []
     for rows in ([0, 1, 2], [3, 4, 2]):
         basis = TURNED[rows].T
@@ -230,9 +246,10 @@ def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
 
 
 def over(points: Array, boxes: Boxes) -> Array:
-    """Distance of points from the edge of the outline of both boxes, seen from above [m], (n,); negative outside.
+    """Return the horizontal distance [m] of points from the edge of the outline of both boxes, shape (n,).
 
-    The outline of a box is a hexagon whose sides are those of its edges.
+    The outline of a box is its silhouette as seen from above, a hexagon whose sides are edges of the box. The distance
+    is negative outside the outline of either box.
     """
     margin = np.full(len(points), np.inf)
     for center, half, axes in zip(boxes.center, boxes.half, boxes.R, strict=True):
@@ -248,9 +265,9 @@ def over(points: Array, boxes: Boxes) -> Array:
 
 
 def ground_gap(view: View, a: Entity, b: Entity) -> Array:
-    """Distance between two entities along the ground [m], (n,), negative if they overlap.
+    """Return the horizontal distance [m] between two entities, shape (n,); it is negative if they overlap.
 
-    The largest gap across the edges of their boxes and along the line between their middles.
+    This is the largest of the gaps across the edges of their boxes and along the line between their middles.
     """
     boxes = view.boxes(a), view.boxes(b)
     ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]

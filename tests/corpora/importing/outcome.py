@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 MASS, LIMIT, POSE = 1e-6, 1e-5, 1e-5
 """Relative for masses and mass matrices; rad or m for limits and poses. Engines read text, some in single precision."""
 
-FAULT = "the importer failed on it"
+FAULT = "the importer failed because of a bug"
 """How refusals read that nobody foresaw, see :mod:`simfoundry.frontends.errors`."""
 
 

@@ -88,13 +88,13 @@ def test_the_same_seed_gives_the_same_layout_whatever_came_before(table: Twin) -
         (axis("post", brick=("Inside",)), "Inside(brick, post) can never hold: `post` has no cavity"),
         (axis("post", table=("LeftOf",)), "`table` is fixed to the world, so it cannot move"),
         (axis("chip", brick=("LeftOf",)), "`brick` supports the anchor `chip`, so it cannot move around it"),
-        (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "no place on `table` left of `post` is 2 m from `post`"),
-        (axis("post", brick=("LeftOf",), gap=(0.5, 0.6)), "`brick` finds room for 0.3"),
-        (axis("post", brick=("NextTo",), gap=(0.6, 0.7)), "no place on `table` is 0.6 m from `post`"),
+        (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "placed on `table` left of `post` with the minimum gap"),
+        (axis("post", brick=("LeftOf",), gap=(0.5, 0.6)), "the largest possible gap is 0.3"),
+        (axis("post", brick=("NextTo",), gap=(0.6, 0.7)), "`table` with the minimum gap of 0.6 m from `post`"),
         (axis("post", 2, brick=("LeftOf", "RightOf")), "no 2 of LeftOf, RightOf can hold for `brick` at once"),
         (axis("post", 2, brick=("LeftOf", "OnTop")), "no 2 of LeftOf, OnTop can hold for `brick` at once"),
         (axis("post", post=("LeftOf",)), "`post` is the anchor"),
-        (axis("can", post=("LeftOf",)), "nothing as large as `post` can be left of `can`: `table` ends 0.050 m beyond"),
+        (axis("can", post=("LeftOf",)), "`post` cannot be left of `can`, because `table` extends only 0.050 m beyond"),
     ],
 )
 def test_what_can_never_be_is_said_before_anything_is_tried(table: Twin, asked: SceneAxis, text: str) -> None:

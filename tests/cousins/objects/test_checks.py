@@ -81,7 +81,7 @@ def test_what_must_be_taken_fits_the_gripper() -> None:
     wide = stretched(item("cube").spec, np.full(3, 1.8))
     assert first(wide, "cube", cube, "cube") == (
         "grip",
-        "it is 9.0 cm wide at its narrowest, and the gripper opens 8.5 cm",
+        "it is 9.0 cm wide at its narrowest, but the gripper opens only 8.5 cm",
     )
 
 
@@ -115,7 +115,7 @@ def test_a_thing_that_topples_does_not_stand() -> None:
         },
     )
     code, text = first(thin, "cube", twin("clear_table", "cube", "cube"), "cube")
-    assert code == "stands" and text.startswith("on a table it ")
+    assert code == "stands" and text.startswith("on a table, it ")
 
 
 def test_a_drawer_that_jams_is_refused() -> None:
@@ -129,7 +129,7 @@ def test_a_drawer_that_jams_is_refused() -> None:
         update={"joints": {n: j.model_copy(update={"limits": (0.0, 0.05)}) for n, j in spec.joints.items()}}
     )
     code, text = first(short, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
-    assert (code, text) == ("joint", "`drawer` has a range of 0.050, but 0.160 in the twin")
+    assert (code, text) == ("joint", "`drawer` has a range of 0.050, compared to 0.160 in the twin")
 
 
 def test_likeness_tells_apart_and_only_that() -> None:

@@ -86,7 +86,7 @@ def test_what_is_missing_is_one_sentence(project: Path) -> None:
     )
     done = made(project)
     assert done.code == 1
-    assert done.one_line("impossible: `cup` has the source `model`", "give --vlm, or `vlm` in the recipe's `models`")
+    assert done.one_line("impossible: `cup` has the source `model`", "specify --vlm, or `vlm` in the recipe's `models`")
     assert done.one_line("set SIMFOUNDRY_IMAGES_URL and SIMFOUNDRY_IMAGES_MODEL", "set SIMFOUNDRY_MESHES_URL")
     told = made(project, "--vlm", "openai-chat:seer")
     assert told.code == 1 and "--vlm" not in told.err and "SIMFOUNDRY_MESHES_URL" in told.err

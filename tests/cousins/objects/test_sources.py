@@ -216,9 +216,9 @@ def test_pictures_that_are_never_reasonable_are_a_reason() -> None:
     source = Generation(Never(), Painter(), Sculptor(), small(), small())
     refused = source(item("cup"), ObjectVariants(sources=("model",)), 0, 0)
     assert isinstance(refused, Reason) and refused.code == "picture"
-    assert refused.text == "body, a wider body: no reasonable image in 3 attempts: too shiny"
+    assert refused.text == "body, a wider body: none of 3 images was judged reasonable: too shiny"
     beyond = source(item("cup"), ObjectVariants(sources=("model",)), 0, 99)
-    assert isinstance(beyond, Reason) and beyond.text.startswith("the model proposed 4 changes")
+    assert isinstance(beyond, Reason) and beyond.text.startswith("the model proposed only 4 changes")
 
 
 def test_a_model_that_fails_is_a_reason_and_no_crash() -> None:

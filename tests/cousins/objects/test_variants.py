@@ -83,7 +83,7 @@ def test_what_is_refused_says_why_with_numbers() -> None:
     assert len(found.accepted) < 2  # balls for one game do not differ by 6 % twice
     assert found.reasons.keys() <= {"alike", "size"} and sum(found.reasons.values()) == len(found.refused)
     alike = next(r for one in found.refused for r in one.reasons if r.code == "alike")
-    assert alike.text.startswith("it is too like another: size ") and alike.numbers["size"] < 0.06
+    assert alike.text.startswith("it is too similar to another") and alike.numbers["size"] < 0.06
 
 
 def test_a_swapped_scene_checks_and_lowers(scene: Loaded, task: Loaded, tmp_path: Path) -> None:
@@ -142,7 +142,8 @@ def test_what_cannot_be_is_said_with_numbers(tmp_path: Path, monkeypatch: pytest
 
     table = load_kind(REPOSITORY / "specs" / "scenes" / "clear_table.scene.yaml", "scene/1")
     with pytest.raises(
-        ImpossibleError, match="`cube` has no variant among 25 candidates: 25 times rules; the first: no rule"
+        ImpossibleError,
+        match=r"all 25 candidates for variants of `cube` were rejected: rules \(25 times\); for example: no rule",
     ):
         made_for(asked(components=("handle",)), table, [], 0, tmp_path, SourceSetup(table.path))
     with pytest.raises(

@@ -107,14 +107,16 @@ def test_nothing_left_is_said_with_what_each_filter_took(folder: Path) -> None:
     (reason,) = raised.value.reasons
     assert reason.numbers["library"] == 4
     assert reason.text == (
-        "no distractor is left of the 4 in things; category `brick` or `hat` or `tend`: 2 taken; mass at most 0.0001 "
-        "kg: 2 taken (theirs 0.018 to 0.9); it has no `tend`, did you mean `tent`?; 1 cannot be used, the first is "
+        "none of the 4 objects in things can be used as a distractor; "
+        "category `brick` or `hat` or `tend`: 2 removed; mass at most 0.0001 "
+        "kg: 2 removed (actual values 0.018 to 0.9); "
+        "category `tend` does not exist in it, did you mean `tent`?; unusable files: 1, the first is "
         "broken.asset.yaml: expected at least 1 values, found 0"
     )
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(SimfoundryError, match="does not exist; give"):
+    with pytest.raises(SimfoundryError, match="does not exist; specify"):
         read_library(tmp_path / "nowhere")
 
 
@@ -185,10 +187,10 @@ def test_nothing_is_added_that_an_instruction_could_mean(tmp_path: Path) -> None
     assert [[item.name for item in step.taken] for step in steps] == [["green_cup", "mine"], ["gadget"]]
     said = remarks(library, left, steps)
     assert (
-        said[0].startswith("left out `green_cup`, `mine` of ") and "a category that the twin does not have" in said[0]
+        said[0].startswith("excluded `green_cup`, `mine` from ") and "a category that the twin does not have" in said[0]
     )
-    assert said[1].startswith("left out `gadget` of ") and "a shape that the twin does not have" in said[1]
-    assert said[2].startswith("`widget` of ") and "state no `category`" in said[2]
+    assert said[1].startswith("excluded `gadget` from ") and "a shape that the twin does not have" in said[1]
+    assert said[2].startswith("no `category` is set for `widget` in ") and "set it in these assets" in said[2]
     without = filtered(library, DistractorAxis(exclude_categories=("cup",)))[0]
     assert [item.name for item in without] == ["gadget", "widget"]
 

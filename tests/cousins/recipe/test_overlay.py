@@ -162,7 +162,7 @@ def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None
 
 def test_a_place_from_which_the_twin_cannot_be_reached(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     recipe = read_recipe(project / "scenes.cousins.yaml")
-    with pytest.raises(OutputError, match="must lie in its project"):
+    with pytest.raises(OutputError, match="must be located in its project"):
         claim_project(recipe, tmp_path_factory.mktemp("elsewhere"))
     assert relative(project / "table.scene.yaml", project / "a" / "b") == "../../table.scene.yaml"
 

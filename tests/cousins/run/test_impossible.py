@@ -58,8 +58,8 @@ def test_inside_of_something_solid(project: Path) -> None:
     done = asked(project, "brick: [LeftOf, RightOf]", "brick: [LeftOf, Inside]")
     assert (done.code, done.err) == (
         1,
-        "impossible: Inside(brick, post) can never hold: `post` has no cavity, so nothing can be inside: its colliders "
-        "enclose no hollow\n",
+        "impossible: Inside(brick, post) can never hold: `post` has no cavity, so nothing can be inside it: its "
+        "colliders do not enclose any space\n",
     )
     assert nothing_was_tried(project)
 
@@ -87,8 +87,8 @@ def test_a_table_too_full_of_what_moves(project: Path) -> None:
     done = asked(project, "objects: {", f"objects: {{{moved}, ")
     assert done.code == 1, done.err
     assert done.err == (
-        "impossible: `table` is too full: the shadows of 12 objects take 0.579 m^2, it has 0.480 m^2, "
-        "and random placement fills at most 85% of that\n"
+        "impossible: `table` is too full: the shadows of 12 objects require 0.579 m^2, but random placement can fill "
+        "at most 85% of its 0.480 m^2\n"
     ), "9 crates of 0.0625 m^2, the brick of 0.0032, the can of 0.0027 and the post of 0.01 that stays"
     assert nothing_was_tried(project)
 
@@ -98,8 +98,8 @@ def test_a_table_too_full_of_distractors(project: Path) -> None:
     assert done.code == 1, done.err
     # Balls of 28 cm^2 each, for there is a brick already; and 160 cm^2 of the brick, the can and the post.
     assert (
-        "`table` is too full: the shadows of 3 objects and the 150 smallest distractors take 0.441 m^2, "
-        "it has 0.480 m^2" in done.err
+        "`table` is too full: the shadows of 3 objects and the 150 smallest distractors require 0.441 m^2, "
+        "but random placement can fill at most 85% of its 0.480 m^2" in done.err
     )
     assert nothing_was_tried(project)
 
@@ -113,12 +113,12 @@ def test_a_table_that_may_hold_them_is_tried(project: Path) -> None:
 def test_a_filter_that_matches_nothing(project: Path) -> None:
     done = asked(project, "library: things", "library: things, mass: {max: 0.001}")
     assert done.code == 1, done.err
-    assert "no distractor is left of the 2 in things" in done.err
-    assert "mass at most 0.001 kg: 1 taken (theirs 0.0226 to 0.0226)" in done.err, "the twin has a brick itself"
+    assert "none of the 2 objects in things can be used as a distractor" in done.err
+    assert "mass at most 0.001 kg: 1 removed (actual values 0.0226 to 0.0226)" in done.err, "the twin has a brick"
     assert nothing_was_tried(project)
 
 
 def test_a_gap_that_no_table_has(project: Path) -> None:
     done = asked(project, "gap: [0.02, 0.15]", "gap: [2, 3]")
     assert done.code == 1 and nothing_was_tried(project)
-    assert "no place on `table` left of `post` is 2 m from `post`" in done.err
+    assert "cannot be placed on `table` left of `post` with the minimum gap of 2 m from `post`" in done.err

@@ -60,7 +60,7 @@ def test_fewer_variants_than_asked_for_are_said_and_end_with_1(project: Path) ->
     done = made(project, axis, 1)
     assert done.code == 1, done
     assert done.out.startswith("1 of 1 cousins")
-    assert "variants of `cup`: 2 of 3 made from " in done.err and "such as: " in done.err, done.err
+    assert "variants of `cup`: 2 of 3 generated from " in done.err and "for example: " in done.err, done.err
     manifest = json.loads((project / "out" / "manifest.json").read_bytes())
     assert manifest["variants"]["cup"] | {"reasons": {}} == {
         "asked": 3, "made": 2, "candidates": manifest["variants"]["cup"]["candidates"], "reasons": {},

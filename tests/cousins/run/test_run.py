@@ -111,7 +111,7 @@ def test_more_cousins_go_on_from_those_that_are_there(tmp_path: Path) -> None:
     assert {k: v for k, v in after.items() if k in before and k.endswith(".scene.yaml")} == {
         k: v for k, v in before.items() if k.endswith(".scene.yaml")
     }
-    with pytest.raises(OutputError, match="20 documents of cousins beyond the 10"):
+    with pytest.raises(OutputError, match="contains 20 documents of cousins beyond the 10"):
         made(plan(tmp_path / "a", wanted=10))
 
 
@@ -131,7 +131,7 @@ def test_a_line_that_is_none_is_an_error_with_its_place(tmp_path: Path) -> None:
     made(plan(tmp_path / "a"))
     file = log_file(tmp_path / "a", None)
     file.write_bytes(b"{}\n" + file.read_bytes())
-    with pytest.raises(OutputError, match=r"log\.jsonl:1 is not a line of a log"):
+    with pytest.raises(OutputError, match=r"log\.jsonl:1 is not a valid line in a cousins log"):
         run(plan(tmp_path / "a"), lambda: Here(work()))
 
 

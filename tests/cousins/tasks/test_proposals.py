@@ -53,9 +53,9 @@ EXPECTED = {
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),
     "move_the_desk": ("fixed", "`desk` is fixed"),
-    "two_markers": ("bad_goal", "has 2 members"),
+    "two_markers": ("bad_goal", "must have exactly one member, not 2"),
     "sneaky": ("bad_goal", "is not of the form"),
-    "part 12 of the answer": ("unreadable", "not valid YAML"),
+    "part 12 of the response": ("unreadable", "not valid YAML"),
     "empty_handed": ("bad_goal", "has 0"),
     "eraser_away": (),
 }
@@ -121,7 +121,7 @@ def test_text_around_and_fences_are_passed_over() -> None:
         ("task_name: 5\ngoal_predicates_all: []", "task_name"),
         ("goal_predicates_all: []", "task_name"),
         ("task_name: a\n  b: {", "not valid YAML"),
-        ("- task_name: a", "not a mapping"),
+        ("- task_name: a", "must be a mapping"),
     ],
 )
 def test_what_cannot_be_read_says_why(text: str, why: str) -> None:

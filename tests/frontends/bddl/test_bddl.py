@@ -165,13 +165,13 @@ def test_on_where_the_words_say_in_counts_inside_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("goal", "said"),
     [
-        ("(And (Turnon plate_1))", "line 13: there is no predicate for `turnon`"),
-        ("(And (On spoon_1 plate_1) (On fork_1 plate_1))", "2 items are missing: line 13: no object of the scene"),
-        ("(And (Open plate_1))", "`plate_1` has no joint to open"),
+        ("(And (Turnon plate_1))", "line 13: the predicate `turnon` is not supported"),
+        ("(And (On spoon_1 plate_1) (On fork_1 plate_1))", "2 items are missing: line 13: the scene has no object"),
+        ("(And (Open plate_1))", "`plate_1` has no joint that can be opened"),
         ("(And)", "the goal is empty"),
-        ("(And (forall (?x - spoon) (On ?x plate_1)))", "it ranges over a type that nothing has"),
-        ("(And (forn (3) (?x - bowl) (On ?x plate_1)))", "3 are to hold of 2"),
-        ("(And (In bowl_1 cabinet_1_middle_region))", "no object of the scene is `cabinet_1_middle_region`"),
+        ("(And (forall (?x - spoon) (On ?x plate_1)))", "no object has the type of this variable"),
+        ("(And (forn (3) (?x - bowl) (On ?x plate_1)))", "exactly 3 conditions must be true, but there are only 2"),
+        ("(And (In bowl_1 cabinet_1_middle_region))", "the scene has no object `cabinet_1_middle_region`"),
     ],
 )
 def test_what_is_missing_is_said_with_its_line(tmp_path: Path, goal: str, said: str) -> None:
@@ -181,14 +181,14 @@ def test_what_is_missing_is_said_with_its_line(tmp_path: Path, goal: str, said: 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("(define (problem x)", "1: this bracket is never closed"),
-        ("(define (problem x) (:goal (and)))\n)", "2: this bracket closes nothing"),
-        ("", "it is empty"),
-        ("(define (problem x))", "it has no `(:goal"),
-        ("(define (problem x) (:goal (a)) (:goal (b)))", "`:goal` stands here again"),
-        ("(define (problem x) (:goal (a b) (c d)))", "its goal is not one condition"),
-        ("(" * 100, "nested deeper than 64"),
-        ("(define (problem x) (:objects a -) (:goal (a)))", "`-` stands between names and their type"),
+        ("(define (problem x)", "1: this parenthesis is never closed"),
+        ("(define (problem x) (:goal (and)))\n)", "2: unmatched closing parenthesis"),
+        ("", "the file is empty"),
+        ("(define (problem x))", "the problem has no `(:goal"),
+        ("(define (problem x) (:goal (a)) (:goal (b)))", "there is more than one `:goal` section"),
+        ("(define (problem x) (:goal (a b) (c d)))", "the goal must be a single condition"),
+        ("(" * 100, "nested more than 64 levels deep"),
+        ("(define (problem x) (:objects a -) (:goal (a)))", "`-` must be placed between names and their type"),
         ("(define (problem x) (:regions (r (:target t) (:ranges ((1 2 x 4))))) (:goal (a)))", "4 numbers"),
     ],
 )
@@ -206,7 +206,7 @@ def test_names_can_be_bound_by_hand(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("bowl_1", "dish").replace("(:init", "(:init ; nothing\n"))
     scene.write_text(scene.read_text().replace("category: bowl", "category: basin").replace("bowl_", "basin_"))
     result = run("import", file, "-o", tmp_path / "x.task.yaml", "--scene", scene)
-    assert result.code == 2 and "no object of the scene is `dish` (a bowl)" in result.err
+    assert result.code == 2 and "the scene has no object `dish` (a bowl)" in result.err
     result = run("import", file, "-o", tmp_path / "x.task.yaml", "--scene", scene, "--bind", "dish=basin_2")
     assert result.code == 0, result.err
     assert _task(tmp_path / "x.task.yaml").goal == "OnTop(basin_2, plate_1)"
@@ -257,7 +257,7 @@ def test_what_a_format_cannot_say_is_refused(tmp_path: Path) -> None:
         export_task(either, scene, "libero")
     with pytest.raises(TaskExportError, match="no predicate for `Upright"):
         export_task(spec.model_copy(update={"goal": "Upright(cup)"}), scene, "libero")
-    with pytest.raises(TaskExportError, match="nothing of the goal"):
+    with pytest.raises(TaskExportError, match="cannot express any part of the goal"):
         export_task(spec.model_copy(update={"goal": "Released(cup)"}), scene, "behavior")
 
 

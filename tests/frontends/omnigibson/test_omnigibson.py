@@ -110,7 +110,7 @@ def test_every_trap_is_said(release: Path) -> None:
         ("dropped", "`gs_background`"),
         ("changed", "posture of robot `robot0`"),
         ("changed", "`ground_plane_info`"),
-        ("changed", "the plane without an end that is the table"),
+        ("changed", "the infinite plane that serves as the table"),
     } <= said
 
 
@@ -177,16 +177,16 @@ def test_all_and_any_are_about_the_objects_of_a_group(release: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        (TASK[TASK.index("  goal_predicates_all") : TASK.index("  milestone")], "", "its goal is empty"),
-        ("cup: [iter_0]", "cup: [iter_9]", "no object of the scene is `iter_9`"),
+        (TASK[TASK.index("  goal_predicates_all") : TASK.index("  milestone")], "", "the goal is empty"),
+        ("cup: [iter_0]", "cup: [iter_9]", "the scene has no object `iter_9`"),
         ("cup: [iter_0]", "cup: []", "the group `cup` is empty"),
-        ("state: Open,", "state: Cooked,", "there is no predicate for `Cooked`"),
+        ("state: Open,", "state: Cooked,", "the state `Cooked` of .* has no corresponding predicate"),
         (
             "other_group: organizer}\n    - {state: Open",
             "other_group: cups}\n    - {state: Open",
-            "must mean one object",
+            "must match exactly one object",
         ),
-        ("requires: []", "requires: [placed]", "require each other in a ring"),
+        ("requires: []", "requires: [placed]", "require each other in a cycle"),
         ("og_task_config", "config", "no `og_task_config`"),
     ],
 )
@@ -199,11 +199,11 @@ def test_tasks_that_mean_nothing_are_refused(release: Path, old: str, new: str, 
     ("old", "new", "reason"),
     [
         ('"qwerty"', '"../../x"', "no usable category and model"),
-        ('"qwerty"', '"zzz"', "the URDF of `iter_0` is not found: objects/blue_cup/zzz"),
-        ('"registry"', '"nothing"', "it has no `state.registry.object_registry`"),
+        ('"qwerty"', '"zzz"', "could not find the URDF of `iter_0`: objects/blue_cup/zzz"),
+        ('"registry"', '"nothing"', "the file has no `state.registry.object_registry`"),
         ('"scale": [1, 1, 1]', '"scale": [1, 2, 1]', "only uniform scales"),
         ('"pos"', '"position"', "no usable `root_link.pos`"),
-        ("{", "[", "it is not JSON"),
+        ("{", "[", "the file is not valid JSON"),
     ],
 )
 def test_scenes_that_cannot_be_read_are_refused(release: Path, old: str, new: str, reason: str) -> None:

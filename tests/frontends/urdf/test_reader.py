@@ -143,7 +143,7 @@ def test_masses_that_nobody_states_are_warned_of_and_given_by_a_density(tmp_path
     assert "    density: 600\n" in out.read_text()
     source.with_suffix(".xml").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
     refused = run("import", source.with_suffix(".xml"), "--density", "600")
-    assert refused.code == 2 and "every geom of an MJCF file has a density" in refused.err
+    assert refused.code == 2 and "`--density` does not apply to MJCF" in refused.err
 
 
 def test_a_frame_without_mass_becomes_part_of_what_carries_it(importing: Importing) -> None:
@@ -242,32 +242,32 @@ def test_mimic_and_contact_are_kept(importing: Importing) -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("<robot name='a'>", r"a\.urdf:1: it is not XML"),
-        ("<sdf/>", r"a\.urdf:1: its root is `<sdf>`"),
+        ("<robot name='a'>", r"a\.urdf:1: the file is not valid XML"),
+        ("<sdf/>", r"a\.urdf:1: the root element must be `<robot>`, not `<sdf>`"),
         ('<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "defines the entity `a`"),
-        (_robot(), "it has no link"),
-        (_robot(_link("a"), _link("a")), "a second link is called `a`"),
-        (_robot(_link("a"), _link("b")), "it has 2 roots: `a`, `b`"),
-        (_robot(_link("a"), _joint("fixed", "")), "names the link `b`, which does not exist"),
+        (_robot(), "the robot has no links"),
+        (_robot(_link("a"), _link("a")), "there is more than one link named `a`"),
+        (_robot(_link("a"), _link("b")), "the robot has 2 root links: `a`, `b`"),
+        (_robot(_link("a"), _joint("fixed", "")), "refers to link `b`, which does not exist"),
         (
             _robot(_link("a"), _link("b"), _joint("fixed", "", "i"), _joint("fixed", "", "k", "b", "a")),
-            "no link is the root",
+            "there is no root link",
         ),
-        (_robot(_link("a", INERTIAL.replace('"2"', '"nan"'))), "`value` of `<mass>` is `nan`, not a number"),
-        (_robot(_link("a", INERTIAL.replace('"2"', '"-2"'))), "link `a` has the mass -2 kg"),
+        (_robot(_link("a", INERTIAL.replace('"2"', '"nan"'))), "`value` of `<mass>` must be a number, not `nan`"),
+        (_robot(_link("a", INERTIAL.replace('"2"', '"-2"'))), "link `a` has an invalid mass of -2 kg"),
         (_robot(_link("a", BOX.replace("0.1 0.2", "0.1 -0.2"))), "has a negative size"),
-        (_robot(_link("a", BOX.replace("0.1 0.2", "0.1"))), "`size` of `<box>` is `0.1 0.3`, not 3 numbers"),
-        (_robot(_link("a"), _link("b"), _joint("bendy", "")), "`bendy`, which URDF does not know"),
-        (_robot(_link("a"), '<link name="b"/>', _joint("continuous", "")), "moves and has neither a mass nor a shape"),
+        (_robot(_link("a", BOX.replace("0.1 0.2", "0.1"))), "`size` of `<box>` must be 3 numbers, not `0.1 0.3`"),
+        (_robot(_link("a"), _link("b"), _joint("bendy", "")), "`bendy`, which is not a URDF joint type"),
+        (_robot(_link("a"), '<link name="b"/>', _joint("continuous", "")), "moves but has neither a mass nor a shape"),
         (
             _robot(
                 _link("a", '<visual><geometry><mesh filename="package://../../../../etc/passwd"/></geometry></visual>')
             ),
-            "is not found",
+            "could not be found",
         ),
         (
             _robot(_link("a", '<visual><geometry><mesh filename="../../secret.obj"/></geometry></visual>')),
-            "lies outside",
+            "is outside",
         ),
     ],
 )

@@ -387,7 +387,7 @@ def test_what_a_document_cannot_say_is_told(desk: Project) -> None:
         f"{OBJECTS}/plate/base/Visuals/extra",
         "/World/Cone",
     }
-    assert "and is 9; it belongs to cabinet.asset.yaml" in told[f"{OBJECTS}/cabinet/tray"]
+    assert "and is 9; it is defined in cabinet.asset.yaml" in told[f"{OBJECTS}/cabinet/tray"]
     assert "`physics:upperLimit` was 0.2 and is 0.3" in told[f"{OBJECTS}/cabinet/Joints/drawer"]
 
 
@@ -445,7 +445,7 @@ def test_a_document_that_went_on_keeps_what_it_has_and_says_where_both_changed(d
 def test_another_document_is_refused(desk: Project, tmp_path: Path) -> None:
     original = tmp_path / "other.scene.yaml"
     original.write_text(DESK.replace("name: desk", "name: other"))
-    with pytest.raises(StageError, match=r"was compiled from `desk`, and .*other.scene.yaml is `other`"):
+    with pytest.raises(StageError, match=r"was compiled from `desk`, but .*other.scene.yaml is `other`"):
         import_usd(desk.save(desk.edit()), original)
 
 
@@ -465,7 +465,7 @@ def test_a_document_is_edited_in_place_or_written_where_its_files_are_found(desk
     import_stage(path, elsewhere)
     assert "asset: ../cabinet.asset.yaml" in elsewhere.read_text()
     assert not load(elsewhere).errors
-    with pytest.raises(OutputError, match=r"write desk\.scene\.yaml beside"):
+    with pytest.raises(OutputError, match=r"desk\.scene\.yaml must be in the same folder as"):
         import_stage(path, tmp_path / "desk.scene.yaml", desk.document)
 
 

@@ -198,7 +198,7 @@ def test_edits_in_a_stage_of_other_units_are_those_of_the_scene(desk: Project, t
 
 @pytest.mark.parametrize(("unit", "scale"), [(0.01, 50.0), (None, 0.01), (0.001, 100.0)])
 def test_a_scale_that_fits_no_unit_is_refused(desk: Project, tmp_path: Path, unit: float | None, scale: float) -> None:
-    with pytest.raises(StageError, match=r"/Room/Table: it is scaled by .* in a stage whose unit is"):
+    with pytest.raises(StageError, match=r"/Room/Table: it is scaled by .* in a stage with a unit of"):
         read_stage(room(desk, tmp_path / "room.usda", unit, "Y", -90.0, scale, False))
 
 
@@ -255,8 +255,8 @@ def test_diff_says_what_was_moved(desk: Project) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("no stage at all", "this is no stage that USD can read"),
-        ("#usda 1.0\n", "the stage holds no spec"),
+        ("no stage at all", "USD could not read the file as a stage"),
+        ("#usda 1.0\n", "the stage was not compiled from a document"),
         (
             '#usda 1.0\ndef "World" (customData={dictionary simfoundry={string document="{"}}) {}\n',
             "was it edited by hand",
@@ -265,7 +265,7 @@ def test_diff_says_what_was_moved(desk: Project) -> None:
             """#usda 1.0
             def "World" (customData = {dictionary simfoundry = {string document = '{"simfoundry": "scene/9"}'}}) {}
             """,
-            "holds a `scene/9` document",
+            "contains a `scene/9` document",
         ),
     ],
 )

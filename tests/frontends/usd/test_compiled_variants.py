@@ -162,7 +162,7 @@ def test_what_no_document_can_say_of_a_variant_is_said(built: Path) -> None:
 
     found = imported(built, move_within)
     assert found.text == SCENE and [note.prim for note in found.notes] == [CUP]
-    assert found.notes[0].message == ("the variant `red` was moved, and all variants of an object stand in one place")
+    assert found.notes[0].message == ("the variant `red` was moved, but all variants of an object share the same pose")
 
     def add(stage: Usd.Stage) -> None:
         stage.GetPrimAtPath(CUP).GetVariantSet("variant").AddVariant("blue")
@@ -170,7 +170,7 @@ def test_what_no_document_can_say_of_a_variant_is_said(built: Path) -> None:
 
     found = imported(built, add)
     assert found.text == SCENE
-    assert "selected is none of the document's, which are `default`, `tall`, `red`, `chest`" in found.notes[0].message
+    assert "not in the document; available variants: `default`, `tall`, `red`, `chest`" in found.notes[0].message
 
 
 def test_a_copy_of_an_object_with_variants_is_one(built: Path) -> None:
@@ -203,7 +203,7 @@ def test_a_camera_rides_on_every_variant_that_has_its_link(built: Path) -> None:
     file.write_text(text + "cameras:\n" + EYE.format(name="eye", mount="cup") + EYE.format(name="two", mount="cup.lid"))
     artifact = compile_usd(lower_file(file))
     losses = [loss.reason for loss in artifact.losses if loss.path == "two"]
-    assert losses == [f"The variant `{v}` of `cup` has no link `lid` to mount it on." for v in ("tall", "red")]
+    assert losses == [f"Variant `{v}` of `cup` has no link `lid` to mount it on." for v in ("tall", "red")]
     artifact.write(built / "eyes")
     stage = Usd.Stage.Open(str(built / "eyes" / "scene.usda"))
     assert stage.GetPrimAtPath(f"{CUP}/body/eye") and stage.GetPrimAtPath(f"{CUP}/lid/two")

@@ -126,31 +126,31 @@ def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> Non
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("no usd at all", "OpenUSD refuses it"),
-        ('#usda 1.0\ndef Xform "a" {\n float \udcc2 = 1\n}\n', "OpenUSD refuses it"),
+        ("no usd at all", "OpenUSD rejects the file"),
+        ('#usda 1.0\ndef Xform "a" {\n float \udcc2 = 1\n}\n', "OpenUSD rejects the file"),
         (
             '#usda 1.0\ndef Cube "a" {\n double3 xformOp:translate = (0, nan, 0)\n'
             ' uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n',
-            "the transform of `/a` has numbers that are not finite",
+            "the transform of `/a` has non-finite numbers",
         ),
         (
             '#usda 1.0\ndef Cube "a" {\n double size = inf\n}\n',
-            "and a document cannot hold that: Input should be a finite",
+            "which is invalid in a document: Input should be a finite",
         ),
         (
             FORWARD.replace(
                 "point3f physics:localPos1", "quatf physics:localRot1 = (0.2, inf, 1, 0)\n point3f physics:localPos1"
             ),
-            "a frame of `/Door/Hinge` has numbers that are not finite",
+            "a frame of `/Door/Hinge` has non-finite numbers",
         ),
         (
             CENTIMETERS.replace(
                 "float3 physics:diag", "quatf physics:principalAxes = (nan, 0, 0, 0)\n float3 physics:diag"
             ),
-            "a frame of `/World/Box` has numbers that are not finite",
+            "a frame of `/World/Box` has non-finite numbers",
         ),
-        ('#usda 1.0\ndef Xform "a" {}\n', "it has no geometry"),
-        ('#usda 1.0\ndef Xform "a" (references = @./none.usda@) {}\n', "it has no geometry: .*none.usda"),
+        ('#usda 1.0\ndef Xform "a" {}\n', "the stage has no geometry"),
+        ('#usda 1.0\ndef Xform "a" (references = @./none.usda@) {}\n', "the stage has no geometry: .*none.usda"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_its_reason(importing: Importing, text: str, reason: str) -> None:

@@ -1,1 +1,1 @@
-"""Conversion of compiled stages, including later edits, back to the original document."""
+"""Converts compiled stages, including later edits, back to their documents."""

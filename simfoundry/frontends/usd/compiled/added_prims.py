@@ -1,4 +1,4 @@
-"""Prims that a user added to a compiled stage: primitives with or without physics, cameras, and lights."""
+"""Convert prims that a user added to a compiled stage: primitives with or without physics, cameras, and lights."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
 PICTURE = (1280, 720)
-"""Default image size [px] if the stage has none: that of the viewports of Isaac Sim and usdview."""
+"""Default image size [px], which is the size of viewports in Isaac Sim and usdview."""
 
 OWN_SCOPES = ("Looks", "Contacts", "Physics")
-"""Scopes of a compiled stage that do not contain members."""
+"""Scopes in a compiled stage that do not contain members."""
 
 
 @dataclass
 class AddedPrims:
-    """New members by section and name, their prims, and notes on prims that could not be converted."""
+    """New members and their prims, by section and name, and notes on prims that could not be converted."""
 
     members: dict[str, dict[str, Any]] = field(default_factory=dict)
     prims: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -44,7 +44,15 @@ class AddedPrims:
 def added_prims(
     stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any], frame: StageFrame
 ) -> AddedPrims:
-    """Return the prims outside the members at the paths ``known`` as new members for the document ``data``."""
+    """Convert the prims that a user added to a stage to new members of its document.
+
+    Args:
+        stage: Edited stage.
+        carrier: Prim that contains the document.
+        known: Paths of the prims of existing members.
+        data: Document data, to which the new members will be added.
+        frame: World frame of the stage.
+    """
     out = AddedPrims()
     taken = {name for section in data.values() if isinstance(section, dict) for name in section}
     for prim in _topmost(stage, carrier, known):
@@ -61,7 +69,7 @@ def added_prims(
 
 
 def _topmost(stage: Usd.Stage, carrier: Usd.Prim, known: set[str]) -> Iterator[Usd.Prim]:
-    """Yield the topmost bodies, shapes, cameras and lights outside the known prims."""
+    """Yield the topmost bodies, shapes, cameras and lights that are not below a known prim."""
     from pxr import Usd, UsdGeom, UsdLux, UsdPhysics
 
     passed = known | {str(carrier.GetPath().AppendChild(name)) for name in OWN_SCOPES}
@@ -85,21 +93,24 @@ def _member(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | S
 
 
 def _object(prim: Usd.Prim, frame: StageFrame) -> tuple[str, dict[str, Any]] | StageNote:
-    """Convert a primitive; it is free if it is a rigid body, and collides if it or its gprim does."""
+    """Convert a primitive to an object.
+
+    The object can move if the prim is a rigid body, and it collides if the prim or its gprim is a collider.
+    """
     from pxr import Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
 
     shapes = [p for p in Usd.PrimRange(prim) if p.IsA(UsdGeom.Gprim)]
     if len(shapes) != 1:
-        message = f"it has {len(shapes)} shapes, and one is taken over"
-        return StageNote(str(prim.GetPath()), message, "import it alone, as an asset")
+        message = f"it has {len(shapes)} shapes, but only objects with one shape can be imported"
+        return StageNote(str(prim.GetPath()), message, "import it separately as an asset")
     (shape,) = shapes
     pxr = SimpleNamespace(UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade)
     gprims = UsdGprims(pxr, ModelDraft("", "USD"), 1.0, frame.to_m)
     (X_WS, scale), kind = factored(frame.matrix(shape)), str(shape.GetTypeName())
     found = None if kind == "Plane" else gprims.primitive(shape, kind, np.abs(scale))
     if found is None:
-        hint = "save it as a mesh file and name that as an `asset`"
-        return StageNote(str(shape.GetPath()), f"a {kind} is not taken over", hint)
+        hint = "save it as a mesh file and use that file as an `asset`"
+        return StageNote(str(shape.GetPath()), f"prims of type {kind} cannot be imported", hint)
     geometry, X_SG = found
     is_free = prim.HasAPI(UsdPhysics.RigidBodyAPI) and prim.GetAttribute("physics:rigidBodyEnabled").Get() is not False
     data: dict[str, Any] = {"shape": short(to_data(geometry))}
@@ -120,7 +131,7 @@ def _mass(prim: Usd.Prim, to_m: float) -> dict[str, float]:
 
 
 def _contact(shape: Usd.Prim) -> dict[str, Any]:
-    """Return friction and restitution if the stage specifies them; `collision: none` for visual shapes."""
+    """Return the friction and restitution specified in the stage, or `collision: none` for visual shapes."""
     from pxr import UsdPhysics, UsdShade
 
     if not shape.HasAPI(UsdPhysics.CollisionAPI):
@@ -153,8 +164,8 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
 def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | StageNote:
     kind = LIGHTS.get(str(prim.GetTypeName()))
     if kind is None:
-        message = f"a {prim.GetTypeName()} is no light of a scene"
-        return StageNote(str(prim.GetPath()), message, "use a distant, sphere or dome")
+        message = f"lights of type {prim.GetTypeName()} are not supported"
+        return StageNote(str(prim.GetPath()), message, "use a distant, sphere or dome light")
     intensity, exposure = (float(prim.GetAttribute(f"inputs:{n}").Get() or 0.0) for n in ("intensity", "exposure"))
     color = srgb(prim.GetAttribute("inputs:color").Get())
     data: dict[str, Any] = {"type": kind.value, "intensity": short(intensity * 2.0**exposure / FULL[kind])}

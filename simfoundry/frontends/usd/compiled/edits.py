@@ -1,4 +1,4 @@
-"""Convert edits of a stage member to document data; everything else stays as it was written."""
+"""Convert the edits of a stage member to document data; unedited values stay as they were written."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from simfoundry.spec.yaml.write import to_data
 
 
 def short(value: Any) -> Any:
-    """Return data with the shortest numbers that are equal in single precision: 0.31, not 0.310000002."""
+    """Shorten the numbers in ``data`` while preserving their single-precision values: 0.31 instead of 0.310000002."""
     if isinstance(value, dict):
         return {key: short(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -29,23 +29,26 @@ def short(value: Any) -> Any:
 
 
 def srgb(linear: Iterable[float]) -> tuple[float, ...]:
-    """Convert scene-linear red, green and blue to a display color with three digits per channel."""
+    """Convert a scene-linear RGB color to a display color with three digits per channel."""
     return tuple(round(srgb_of_linear(min(max(float(v), 0.0), 1.0)), 3) for v in linear)
 
 
 def as_name(text: str, taken: Iterable[str]) -> str:
-    """Return a valid document name for a prim that is not in ``taken``."""
+    """Convert a prim name to a valid document name that is not in ``taken``."""
     word = "".join(c if c.isascii() and c.isalnum() else "_" for c in text.lower()).strip("_")
     word = word[:60] if word[:1].isalpha() else f"thing_{word}"[:60].rstrip("_")
     return free_name(word, set(taken))
 
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
-"""Tolerances [m, rad] within which a link counts as moved along its joint, because manual moves are inexact."""
+"""Maximum deviation [m, rad] of a moved link from its joint's axis of motion; manual moves are inexact."""
 
 
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Write changed joint positions of ``part`` into ``data``; joint attributes take precedence over link poses."""
+    """Write changed joint positions into ``data`` and yield notes on unsupported edits.
+
+    Changed joint attributes take precedence over changed link poses. Processed attributes are added to ``handled``.
+    """
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
         found = next((name for name in values if name.startswith("state:") and name.endswith(":position")), "")
@@ -61,7 +64,7 @@ def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[st
         handled.add((child, "at"))
         new = stated[0] if stated else old + moved
         if not stated and off:
-            message = "it was moved off its joint; only its motion along the joint is kept"
+            message = "it was moved in a way that its joint does not allow; only the motion along the joint is kept"
             yield StageNote(f"{part.path}/{child}", message)
         name = relative.rpartition("/")[2]
         if abs(new - old) > STILL:
@@ -75,12 +78,12 @@ def _written(position: float, degrees: bool) -> Any:
 
 
 def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
-    """Return the child link of a joint, its motion along the joint [m or rad], and whether it left the joint."""
+    """Return a joint's child link, its motion along the joint [m or rad], and True if it deviates from the joint."""
     prim = part.prim.GetPrimAtPath(relative)
     bodies = [_target(part, prim, name) for name in ("physics:body0", "physics:body1")]
     parent, child = bodies
     X_PC_old, X_PC_new = (_at(v, parent).inverse() @ _at(v, child) for v in (part.built, part.now))
-    step = X_PC_old.inverse() @ X_PC_new  # the motion in the child's frame, where the axis stands still
+    step = X_PC_old.inverse() @ X_PC_new  # motion in the child frame, in which the axis is constant
     values = part.built[relative]
     X_CJ = Pose.of(q=values.get("physics:localRot1", (1.0, 0.0, 0.0, 0.0)))
     axis = X_CJ.rotation[:, "XYZ".index(values.get("physics:axis", "X"))]
@@ -103,37 +106,40 @@ def _at(values: Values, link: str) -> Pose:
 
 
 MOVED_M = 1e-4
-"""Smallest translation [m] that counts as an edit; smaller ones are unintended movements in a viewer."""
+"""Minimum translation [m] that counts as an edit; smaller ones are accidental movements in a viewer."""
 
 SINGLE = 3.4e38
-"""Largest number in single precision."""
+"""Largest finite number in single precision."""
 
 ROUNDED = 2e-6
-"""Relative tolerance for a round trip through single precision: a few units in the last place."""
+"""Relative tolerance for a round trip through single precision, which is a few units in the last place."""
 
 _PIECES = ("Colliders", "Visuals")
 
 _REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
-"""Prefixes of attributes that are reported when added, unless they have the fallback value."""
+"""Prefixes of attributes to report if a user added them with a value other than the fallback."""
 
 
 @dataclass(frozen=True)
 class Edited:
-    """Data of a member according to the stage, with notes on unsupported edits."""
+    """The data of a member as edited in the stage, with notes on unsupported edits."""
 
     data: dict[str, Any]
     notes: tuple[StageNote, ...]
 
 
 def edited_object(part: StageMember) -> Edited:
-    """Return an edited object, including its variants: pose, size, mass, surface, joints, and whether it is fixed."""
+    """Return the data of an edited object, including its variants.
+
+    Supported edits are changes of pose, size, mass, surface properties, joint positions, and being fixed.
+    """
     if part.variant:
         return Edited(*edited_variants(part, _edited_one))
     return Edited(*_edited_one(part))
 
 
 def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
-    """Return the data of an object without variants, or of one variant, and notes."""
+    """Return the data of an object without variants, or of a single variant, and notes on unsupported edits."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
     handled |= {(link, "at") for link in links_of(part.built)[:1]}
@@ -145,12 +151,12 @@ def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...
     else:
         _fixed(part, data, handled)
         notes += [*_mass(part, data, handled), *_surface(part, data, handled)]
-    hint = f"it belongs to {data['asset']}; change it there" if articulated else ""
+    hint = f"it is defined in {data['asset']}; change it there" if articulated else ""
     return data, (*notes, *rest(part, handled, hint))
 
 
 def edited_robot(part: StageMember) -> Edited:
-    """Return an edited robot; only its base can be moved."""
+    """Return the data of an edited robot; only its base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -158,17 +164,17 @@ def edited_robot(part: StageMember) -> Edited:
         now = part.now.get(path, {})
         for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
             message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
-            notes.append(StageNote(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
+            notes.append(StageNote(f"{part.path}/{path}", message, "set a robot's posture with its `joints` key"))
     return Edited(data, tuple(notes))
 
 
 def has_moved(part: StageMember) -> bool:
-    """Return True if the pose of a member differs from the written one."""
+    """Return True if the pose of a member differs from the pose that was written."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
 
 def _shifted(old: Pose, new: Pose) -> bool:
-    far = max(float(np.abs(old.p).max()), float(np.abs(new.p).max()))  # stages have nine digits
+    far = max(float(np.abs(old.p).max()), float(np.abs(new.p).max()))  # stages store nine digits
     return bool(np.abs(new.p - old.p).max() > MOVED_M + 1e-8 * far)
 
 
@@ -177,7 +183,13 @@ def _turned(old: Pose, new: Pose) -> bool:
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
-    """Return a pose as readable document data; parts of ``before`` that are still valid stay as written."""
+    """Return a pose as readable document data.
+
+    Args:
+        pose: New pose.
+        before: Pose data in the document before the edit; values that are still valid are kept.
+        built: Pose that the stage had when it was compiled.
+    """
     new = to_data(pose_spec(pose))
     if not isinstance(before, dict):
         return new
@@ -188,43 +200,46 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
 
 
 def differs(a: Any, b: Any) -> bool:
-    """Return True if two values differ by more than single precision and rounding."""
+    """Return True if two values differ by more than single-precision rounding."""
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
         return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
         return bool(a != b)
-    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # larger values are infinite in a stage
+    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # stages treat larger values as infinite
     return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 
 def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> Iterator[StageNote]:
-    """Yield a note for each remaining difference from the written values, which is not imported."""
+    """Yield a note for each remaining difference from the written values, which will not be imported.
+
+    Values in ``handled`` are skipped, and ``hint`` is added to the notes.
+    """
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
-            yield StageNote(path, "it was deleted, and an object keeps all its pieces")
+            yield StageNote(path, "it was deleted, but pieces of an object cannot be deleted individually")
             continue
         now = part.now[relative]
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
                 yield StageNote(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
         if relative and (relative, "at") not in handled and _displaced(values, now):
-            yield StageNote(path, "it was moved within its object", hint or "move the object itself")
+            yield StageNote(path, "it was moved within its object", hint or "move the entire object")
     for relative, now in part.now.items():
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built = part.built.get(relative)
         if built is None and relative and _counts(prim):
-            yield StageNote(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
+            yield StageNote(str(prim.GetPath()), "it was added inside an object", "move it outside the object")
             continue
         for name, value in now.items():
             if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
                 continue
             if name.startswith(_REPORTED_PREFIXES) and differs(value, fallback(prim, name)):
-                yield StageNote(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
+                yield StageNote(str(prim.GetPath()), f"`{name}` was added with the value {shown(value)}", hint)
 
 
 def shown(value: Any) -> str:
-    """Return a value formatted for messages."""
+    """Format a value for messages."""
     if isinstance(value, tuple | list):
         return f"({', '.join(shown(v) for v in value)})"
     return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
@@ -236,7 +251,7 @@ def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
     if new[3:7] @ old[3:7] < 0:
         new[3:7] = -new[3:7]
     bound = np.full(len(old), MOVED_M)
-    bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are written in single precision
+    bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are stored in single precision
     return bool((np.abs(old - new) > bound).any())
 
 
@@ -257,7 +272,10 @@ def _pose(part: StageMember, data: dict[str, Any]) -> None:
 
 
 def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply the scaling of an object or the resizing of a primitive; colliders take precedence over visuals."""
+    """Apply the scaling of an object, or the resizing of a primitive if its collider or visual was resized.
+
+    Colliders take precedence over visuals.
+    """
     factors = part.scale
     links = links_of(part.built)
     if links and "shape" in data:
@@ -277,7 +295,7 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _resized(part: StageMember, relative: str) -> Any:
-    """Return the factors of a resized primitive along its axes, shape (3,); None if there is no such prim."""
+    """Return the scale factors of a resized primitive along its axes, shape (3,), or None if the prim is missing."""
     if relative not in part.built or relative not in part.now:
         return None
     built, now = part.built[relative], part.now[relative]
@@ -303,11 +321,11 @@ def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
             data.pop("mass", None)
             data["density"] = short(density)
         elif mass <= 0:
-            yield StageNote(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
+            yield StageNote(f"{part.path}/{link}", "its mass was removed", "set a mass or a density")
 
 
 def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """Apply color, friction and restitution; if there are several parts, those of the first that changed."""
+    """Apply changes of color, friction and restitution; if several parts changed, the first one is used."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
         if now is None:
@@ -315,14 +333,14 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain color")
+                yield StageNote(f"{part.path}/{relative}", "its new material does not have a uniform color")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
         if values.get("contact") is not None:
             handled.add((relative, "contact"))
             if now.get("contact") is None:
-                yield StageNote(f"{part.path}/{relative}", "it has no contact material any more")
+                yield StageNote(f"{part.path}/{relative}", "its contact material was removed")
                 continue
             for k, name in ((0, "friction"), (2, "restitution")):
                 own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
@@ -331,7 +349,11 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 
 
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
-    """Return a changed coefficient, either our own copy or the square root that simulators read; None if unchanged."""
+    """Return a changed contact coefficient, or None if it is unchanged.
+
+    Each argument contains our own copy of the coefficient and the square root that simulators read; either may have
+    been edited.
+    """
     if differs(built[1], now[1]):
         return float(short(now[1]))
     return float(short(now[0] ** 2)) if differs(built[0], now[0]) else None
@@ -353,26 +375,27 @@ def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]
 
 
 _EVEN = 1e-6
-"""Relative tolerance for equal factors: stages store them in single precision."""
+"""Relative tolerance for equal scale factors, which stages store in single precision."""
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """Return the changed data of an object that is scaled by ``factors`` along its axes, shape (3,).
+    """Scale an object by ``factors`` along its axes, shape (3,).
 
-    The second value is the reason if no shape can represent the result.
+    Returns:
+        The changed keys, and the reason if the result cannot be expressed, or otherwise an empty string.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:
-        return {}, "it is mirrored or flat, which no shape of a scene is"
+        return {}, "it is mirrored or flat, which scenes do not support"
     even, round_ = max(x, y, z) - min(x, y, z) <= _EVEN * x, abs(x - y) <= _EVEN * x
     shape = data.get("shape")
     if not isinstance(shape, dict):
         if str(data.get("asset", "")).endswith(".yaml"):
-            return {}, "it was scaled, and an asset document has its own size"
-        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "a mesh scales alike in all axes")
+            return {}, "it was scaled, but the size of an asset document is fixed"
+        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "meshes only scale uniformly")
     kind, value = next(iter(shape.items()))
     if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
-        return {}, f"stretched by {x:.4g}, {y:.4g}, {z:.4g} it is no {kind} any more"
+        return {}, f"scaled by {x:.4g}, {y:.4g}, {z:.4g}, it is no longer a {kind}"
     match kind:
         case "box":
             new: Any = tuple(short(v * f) for v, f in zip(value, (x, y, z), strict=True))

@@ -1,4 +1,4 @@
-"""Load compiled stages wherever a scene document is expected, and write their documents for ``simfoundry import``."""
+"""Load compiled stages in place of scene documents, and write their documents for ``simfoundry import``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NOTHING = object()
 
 @dataclass(frozen=True)
 class Edit:
-    """One changed value: old and new value, ``NOTHING`` if absent."""
+    """A changed value at a path; ``old`` or ``new`` is ``NOTHING`` if the value was added or removed."""
 
     path: Path_
     old: Any
@@ -44,7 +44,7 @@ class Edit:
 
 @dataclass(frozen=True)
 class Written:
-    """Document with edits applied; ``disputed`` contains the paths at which it had changed independently."""
+    """A document with edits applied; ``disputed`` contains the paths of values that the document had also changed."""
 
     name: str
     text: str
@@ -52,7 +52,10 @@ class Written:
 
 
 def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
-    """Return the edits that turn ``old`` into ``new``: mappings member by member, other values as a whole."""
+    """Return the edits that turn ``old`` into ``new``.
+
+    Mappings are compared member by member, and other values as a whole.
+    """
     found: list[Edit] = []
     for key in dict.fromkeys((*old, *new)):
         a, b = old.get(key, NOTHING), new.get(key, NOTHING)
@@ -64,10 +67,22 @@ def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
 
 
 def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str], str]) -> Written:
-    """Return the text of the document at ``path`` with the changes from ``old`` to ``new``.
+    """Apply the changes from ``old`` to ``new`` to the document at ``path``.
 
-    ``names`` are new names by section and old name. An overlay remains an overlay: it gets only the differences, and
-    ``null`` for removed values of its base. Raises :class:`SpecError` if the document cannot be read.
+    If the document is an overlay, it remains one: only the differences are written, with ``null`` for removed values of
+    its base.
+
+    Args:
+        path: Document to change; the file itself is not modified.
+        old: Document data before the changes.
+        new: Document data after the changes.
+        names: New names of renamed members, by section and old name.
+
+    Returns:
+        The new text and the paths of disputed values.
+
+    Raises:
+        SpecError: If the document cannot be read.
     """
     try:
         document = read(path)
@@ -96,7 +111,7 @@ def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str
 
 
 def _base(path: Path, bases: list[Path]) -> Data:
-    """Return the flattened base of the document at ``path``; empty if it extends nothing."""
+    """Return the flattened base of the document at ``path``, or empty data if it does not extend another document."""
     if not bases:
         return {}
     from simfoundry.spec.load import load
@@ -106,7 +121,7 @@ def _base(path: Path, bases: list[Path]) -> Data:
 
 
 def _other(there: Any, old: Any) -> bool:
-    """Return True if a document differs from its compiled content."""
+    """Return True if a value in a document differs from its compiled value."""
     if old is NOTHING:
         return True
     if isinstance(there, dict) and isinstance(old, dict):
@@ -123,7 +138,10 @@ def _at(data: Any, path: Path_) -> Any:
 
 
 def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Data:
-    """Return the data at ``above`` of a document, which may extend ``base`` there, with ``value`` at ``path`` below."""
+    """Return ``data``, which is located at ``above`` in a document, with ``value`` at the relative ``path``.
+
+    ``base`` is the data that an overlay extends at the same location.
+    """
     key, below = path[0], path[1:]
     inherited = base.get(key, NOTHING) if isinstance(base, dict) else NOTHING
     out = dict(data)
@@ -147,13 +165,13 @@ def _applied(data: Data, base: Any, above: Path_, path: Path_, value: Any) -> Da
 
 
 def _rivals(key: str, above: Path_) -> set[str]:
-    """Return the keys that ``key`` replaces; empty for a named mapping."""
+    """Return the mutually exclusive keys that ``key`` replaces; empty for the name of a member."""
     rivals = RIVALS.get(key, set())
     return rivals if rivals and models_at(SceneSpec, above) else set()
 
 
 def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
-    """Return the tree with renamed members, each with its comments."""
+    """Return the tree with renamed members, which keep their comments."""
     sections = {}
     for section, child in tree.value.items():
         if isinstance(child.value, dict):
@@ -165,10 +183,10 @@ def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTre
 
 
 def load_usd(path: Path, known: Known | None = None) -> Loaded:
-    """Read and check the scene in a stage; errors are returned as findings, not raised.
+    """Read and check the scene in a stage; errors are returned as findings instead of being raised.
 
-    The file of a finding includes the prim in USD notation, ``scene.usda</World/Objects/cup>``. Files that the scene
-    refers to are looked up relative to its document; see :func:`home`.
+    The file of a finding includes the prim in USD notation, as in ``scene.usda</World/Objects/cup>``. Files that the
+    scene refers to are resolved relative to its document; see :func:`home`.
     """
     try:
         reading = read_stage(path)
@@ -182,7 +200,7 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
 
 
 def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
-    """Yield a finding for each note on the stage."""
+    """Yield a finding for each note on a stage."""
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
         file = f"{path}<{note.prim}>"
@@ -190,9 +208,10 @@ def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
 
 
 def home(stage: Path, file: str) -> Path:
-    """Return the path of a stage's document: ``file`` relative to a parent folder of the stage or the current folder.
+    """Find the document from which a stage was compiled.
 
-    If it does not exist, the path is beside the stage; its assets are missing as well in that case.
+    ``file`` is resolved relative to each parent folder of the stage and then to the current folder. If no such document
+    exists, the result is a path in the stage's folder; the document's assets are probably missing as well.
     """
     folders = [*stage.absolute().parents, Path.cwd()]
     places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
@@ -201,7 +220,7 @@ def home(stage: Path, file: str) -> Path:
 
 
 def stage_document(path: Path, reading: StageReading) -> Document:
-    """Return the document of a stage; members are located at their prims, other values in the file as a whole."""
+    """Return the document of a stage; the location of a member is its prim, and of any other value the entire file."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)
     return Document(str(path), "", reading.data, root, ())
@@ -219,10 +238,10 @@ def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, .
 
 @dataclass(frozen=True)
 class Imported:
-    """Text of a document, with ``notes`` on content of the stage that it does not contain.
+    """The text of an imported document, with ``notes`` on stage content that it does not include.
 
-    ``disputed`` contains paths at which the document differed from both the compiled and the edited stage; the value of
-    the stage was used there.
+    ``disputed`` contains the paths of values that differed from both the compiled and the edited stage; the stage's
+    values were used.
     """
 
     text: str
@@ -231,11 +250,17 @@ class Imported:
 
 
 def import_usd(path: Path, original: Path | None = None, into: Path | None = None) -> Imported:
-    """Return the document of the stage at ``path``; without edits, it equals the compiled document.
+    """Return the document of a compiled stage; if the stage has no edits, it equals the compiled document.
 
-    With ``original``, only the edits are applied to that document: comments are kept, and an overlay remains an
-    overlay. Otherwise the result is a standalone document in canonical form for the folder ``into``. Raises
-    :class:`StageError` and :class:`SpecError`.
+    Args:
+        path: Compiled stage.
+        original: Document to which only the edits are applied, so that comments are kept and an overlay remains an
+            overlay. By default, the result is a standalone document in canonical form.
+        into: Folder for a standalone document, to which its references are made relative.
+
+    Raises:
+        StageError: If the file is not a compiled stage or does not match ``original``.
+        SpecError: If a document cannot be read.
     """
     reading = read_stage(path)
     spec, findings = validate(SceneSpec, stage_document(path, reading))
@@ -247,19 +272,20 @@ def import_usd(path: Path, original: Path | None = None, into: Path | None = Non
         return Imported(to_yaml(SceneSpec.model_validate(data)), reading.notes)
     written = written_into(original, reading.before, reading.data, reading.renamed)
     if written.name != reading.data["name"]:
-        raise StageError(f"{path} was compiled from `{reading.data['name']}`, and {original} is `{written.name}`")
+        raise StageError(f"{path} was compiled from `{reading.data['name']}`, but {original} is `{written.name}`")
     return Imported(written.text, reading.notes, written.disputed)
 
 
 def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = False) -> Imported:
-    """Write the document of the stage at ``path`` to ``out``: ``onto`` with the edits applied, or a new document.
+    """Write the document of the compiled stage at ``path`` to ``out``.
 
-    If ``out`` exists, the edits are applied to it, unless ``force`` is set. Raises :class:`OutputError` if a document
-    would be written to another folder than the files that it refers to.
+    The edits are applied to the document ``onto`` or, unless ``force`` is set, to ``out`` if it exists. Otherwise, a
+    new document is written. Raises :class:`OutputError` if a document with relative references would be written to a
+    different folder.
     """
     original = onto or (out if out.exists() and not force else None)
     if original is not None and original.absolute().parent != out.absolute().parent:
-        raise OutputError(f"write {out.name} beside {original}: what that refers to is relative to its folder")
+        raise OutputError(f"{out.name} must be in the same folder as {original}, because its references are relative")
     with refusing_faults(path):
         imported = import_usd(path, original, out.parent)
     if original is None or not out.exists() or out.read_text(encoding="utf-8") != imported.text:

@@ -1,6 +1,6 @@
-"""Read a compiled stage, including later edits, as its document.
+"""Read a compiled stage, including later edits, as a document.
 
-Unedited values are returned as they were written; if the stage differs from the written values, the stage wins.
+Unedited values are returned as they were written in the document; edited values are taken from the stage.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ if TYPE_CHECKING:
 Data = dict[str, Any]
 
 ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
-"""Keys of a placement that name other objects."""
+"""Placement keys that refer to other objects."""
 
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
-    """Return the document with renamed members; ``names`` contains new names by section and old name."""
+    """Return the document with renamed members; ``names`` maps section and old name to the new name."""
     renames = [Rename((section,), old, new) for (section, old), new in names.items()]
     out: Data = with_new_names(data, renames)
     return out
 
 
 def without(data: Data, gone: Set[str]) -> Data:
-    """Return the document without references to deleted members in relations, viewpoint, and silenced warnings.
+    """Return the document without references to deleted members in relations, the viewpoint, and allowed findings.
 
-    Placements and mounts on them remain; the caller must replace them.
+    Placements and camera mounts that refer to deleted members remain, and the caller must replace them.
     """
     out = dict(data)
     if isinstance(out.get("relations"), tuple):
@@ -98,12 +98,15 @@ def _about(text: Any, gone: Set[str]) -> bool:
 
 @dataclass(frozen=True)
 class StageReading:
-    """Stage as a document.
+    """A stage as a document.
 
-    ``data`` is its current content and ``before`` the compiled content, both complete and without defaults; for deleted
-    members, ``before`` contains only the name. ``file`` is the path of the document in its project. ``renamed``
-    contains new names by section and old name, and ``prims`` the prim path of each member by section and name.
-    ``notes`` describe content of the stage that is not in ``data``.
+    Attributes:
+        data: Current content of the stage, complete but without defaults.
+        before: Content of the stage as compiled; deleted members are represented by their names only.
+        file: Path of the document within its project.
+        renamed: New names of renamed members, by section and old name.
+        prims: Prim path of each member, by section and name.
+        notes: Notes on stage content that is not represented in ``data``.
     """
 
     data: Data
@@ -115,25 +118,25 @@ class StageReading:
 
 
 def read_stage(path: Path) -> StageReading:
-    """Read a stage; raises :class:`StageError` if it does not exist or was not compiled from a document."""
+    """Read a stage as a document; raise :class:`StageError` if it does not exist or was not compiled from one."""
     stage = open_stage(path)
     try:
         reading = read_spec(stage)
     except StageError as error:
         raise StageError(error.reason, path) from None
     if reading is None:
-        raise StageError("the stage holds no spec; `simfoundry import` makes one of any stage", path)
+        raise StageError("the stage was not compiled from a document; use `simfoundry import` to create one", path)
     return reading
 
 
 def read_spec(stage: Usd.Stage) -> StageReading | None:
-    """Return the current document of a stage; None if the stage was not compiled from one."""
+    """Return the current document of a stage, or None if the stage was not compiled from a document."""
     prim = carrier(stage)
     if prim is None:
         return None
     file, written = document(prim)
     if written.get("simfoundry") != "scene/1":
-        raise StageError(f"the stage holds a `{written.get('simfoundry')}` document; this version reads scene/1")
+        raise StageError(f"the stage contains a `{written.get('simfoundry')}` document; this version supports scene/1")
     world = StageFrame(stage, prim)
     found = parts(stage, world)
     members, names, copies = _identified(found, written)
@@ -163,7 +166,12 @@ Members = dict[tuple[str, str], StageMember]
 def _identified(
     found: list[StageMember], written: Data
 ) -> tuple[Members, dict[tuple[str, str], str], dict[str, StageMember]]:
-    """Return parts by section and original name, new names by the same keys, and copies by name."""
+    """Identify the members of a stage with members of the written document.
+
+    Returns:
+        The members by section and original name, the new names of renamed members by the same keys, and copied members
+        by name.
+    """
     members: Members = {}
     for part in sorted(found, key=_identity_rank):
         if written.get(part.section, {}).get(part.name, part) is None:
@@ -173,7 +181,10 @@ def _identified(
     copies: dict[str, StageMember] = {}
     for part in found:
         key = (part.section, part.name)
-        original, name = members.get(key) is part, part.prim.GetName()  # a part of another stage is like a copy
+        original, name = (
+            members.get(key) is part,
+            part.prim.GetName(),
+        )  # a member from another stage is treated as a copy
         if original and part.name in (name, as_name(name, ())):
             continue
         new = as_name(name, taken)
@@ -186,7 +197,7 @@ def _identified(
 
 
 def _identity_rank(part: StageMember) -> tuple[bool, bool]:
-    """Sort key: members that kept name and scope come before their copies."""
+    """Return a sort key that places members with their original name and scope before their copies."""
     return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
@@ -199,14 +210,14 @@ def _edited(part: StageMember) -> Edited:
 
 
 def _compiled(written: Data, members: Members) -> Data:
-    """Return the document as it was compiled; deleted members are listed by name."""
+    """Return the document as it was compiled; deleted members are represented by their names only."""
     filled = _filled(written, {key: part.spec for key, part in members.items()})
     return {key: {n: {} if v is None else v for n, v in section.items()} if isinstance(section, dict) else section
             for key, section in filled.items()}  # fmt: skip
 
 
 def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
-    """Return the document with the data of members, which are None in ``written``; missing ones remain None."""
+    """Return ``written`` with member data filled in; members that are not in ``found`` remain None."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict):
@@ -215,7 +226,7 @@ def _filled(written: Data, found: Mapping[tuple[str, str], Data]) -> Data:
 
 
 def _joined(written: Data, edited: Mapping[tuple[str, str], Edited], copies: dict[str, StageMember]) -> Data:
-    """Return the document with the data of its members in order, followed by copies and without deleted members."""
+    """Return the document with edited members in their original order, followed by copies; deleted ones are removed."""
     out = _filled(written, {key: each.data for key, each in edited.items()})
     for section, members in out.items():
         if isinstance(members, dict):
@@ -232,9 +243,9 @@ def _placed(
     copies: Mapping[str, StageMember],
     gone: set[str],
 ) -> Data:
-    """Return the document with the poses of the stage.
+    """Return the document with the poses from the stage.
 
-    A placement is kept if its anchors did not move; otherwise it would resolve to a pose other than that of the stage.
+    A placement is kept only if none of its anchors moved; otherwise, it would resolve to a different pose.
     """
     out = dict(data)
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
@@ -262,25 +273,25 @@ def _placed(
 
 
 def _changed(part: StageMember, data: Data) -> bool:
-    """Return True if objects placed relative to this one would get different poses than before."""
+    """Return True if placements relative to this object would now resolve to different poses."""
     return has_moved(part) or _resized(part, data)
 
 
 def _resized(part: StageMember, data: Data) -> bool:
-    """Return True if the shape or the joints of an object changed; selecting another variant does not count."""
+    """Return True if the shape or the joints of an object changed, other than by selecting another variant."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 
 
 def _only_along(part: StageMember, data: Data) -> bool:
-    """Return True if an object was only shifted horizontally, so that world positions on top of it remain valid."""
+    """Return True if an object was only moved horizontally, so that world positions on top of it remain valid."""
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
 
 
 def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
-    """Write gravity into ``data`` if it was changed."""
+    """Write gravity into ``data`` if it was edited in the stage."""
     physics = prim.GetChild("Physics")
     if not physics:
         return
@@ -290,7 +301,7 @@ def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)
     old = data.get("gravity", (0.0, 0.0, -9.81))
     kept = [v for v in (gravity, world.gravity(gravity)) if np.abs(v - old).max() <= 1e-5 * max(1.0, np.abs(old).max())]
-    if not kept:  # neither the written value nor the same in the units of the stage
+    if not kept:  # differs from the written value in meters and in stage units
         gravity = world.gravity(gravity)
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
 

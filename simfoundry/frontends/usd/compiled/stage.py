@@ -1,4 +1,4 @@
-"""Compiled stages: the document, its members, and the current values of their prims."""
+"""Compiled stages: access to the document, its members, and the current values of their prims."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ VARIANTS = "variant"
 """Name of the variant set of an object."""
 
 UNKNOWN = "?"
-"""Placeholder for the name of a variant that was not compiled; not a valid name."""
+"""Placeholder for a variant that was not compiled; not a valid variant name."""
 
 _BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
-"""Relationships that determine the materials in :func:`_now`."""
+"""Relationships that determine the visual and contact materials in :func:`_now`."""
 
 Values = dict[str, dict[str, Any]]
-"""Values by prim path relative to the part, then by name."""
+"""Values by prim path relative to the member, and then by name."""
 
 
 class StageError(SimfoundryError):
-    """Error for a file that is not a stage or cannot be read as a document; ``reason`` omits the file name."""
+    """Raised for a file that is not a stage or cannot be read as a document; ``reason`` does not include the file."""
 
     def __init__(self, reason: str, file: Path | None = None) -> None:
         super().__init__(reason if file is None else f"{file}: {reason}")
@@ -46,7 +46,7 @@ class StageError(SimfoundryError):
 
 @dataclass(frozen=True)
 class StageNote:
-    """Note on content of a stage that the document cannot express: prim path, message, and remedy."""
+    """A note on stage content that the document cannot express, with the prim path, a message, and a hint."""
 
     prim: str
     message: str
@@ -55,12 +55,12 @@ class StageNote:
 
 @dataclass(frozen=True)
 class StageMember:
-    """Member of a section of the document, with the prim that represents it.
+    """A member of a document section, such as an object, with the prim that represents it.
 
-    ``spec`` is its data; ``built`` contains the values of its prims when they were written, ``now`` the current ones.
-    ``X_WP`` is its pose in the world and ``scale`` contains the factors along its axes, shape (3,). For an object with
-    variants, these describe the selected ``variant``; ``others`` describe the remaining variants, for which only the
-    variant's own opinions count as edits. ``variant`` is a question mark if the selected one was not compiled.
+    ``spec`` is the member's data, ``built`` contains the values of its prims as compiled, and ``now`` contains their
+    current values. ``X_WP`` is the pose of the prim in the world, and ``scale`` is its scale along each axis, shape
+    (3,). If an object has variants, these fields describe the selected ``variant``, which is `?` if it was not
+    compiled. ``others`` describe the remaining variants, for which only the variant's own opinions count as edits.
     """
 
     section: str
@@ -74,38 +74,38 @@ class StageMember:
     variant: str = ""
     others: tuple[StageMember, ...] = ()
     stage: Usd.Stage | None = None
-    """Stage of ``prim``, stored because the prim only has a weak reference to it."""
+    """Stage that contains ``prim``, kept alive because the prim has only a weak reference to it."""
 
     @property
     def path(self) -> str:
-        """Return the path of its prim."""
+        """Return the path of the member's prim."""
         return str(self.prim.GetPath())
 
     @property
     def X_WP_built(self) -> Pose:
-        """Return its pose when it was written."""
+        """Return the pose of the member in the world as compiled."""
         return self.at("")[0]
 
     def at(self, relative: str) -> tuple[Pose, Array]:
-        """Return the pose and scale of one of its prims in the parent prim when it was written."""
+        """Return the pose and scale of a prim in its parent prim as compiled; ``relative`` is the prim's path."""
         return placed(self.built.get(relative, {}).get("at"))
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """Open a stage; raises :class:`StageError`."""
+    """Open a stage; raise :class:`StageError` if the file is missing or is not a stage."""
     from pxr import Tf, Usd
 
     if not path.is_file():
-        raise StageError("the file cannot be read: there is none", path)
+        raise StageError("the file does not exist", path)
     try:
         return Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = error_text(error).strip().splitlines()[-1].partition(": ")[2].strip(" '\"")
-        raise StageError(f"this is no stage that USD can read: {reason}", path) from None
+        raise StageError(f"USD could not read the file as a stage: {reason}", path) from None
 
 
 def error_text(error: Exception) -> str:
-    """Return the text of an OpenUSD error, which may quote non-UTF-8 content of the file."""
+    """Return the message of an OpenUSD error, which may contain invalid UTF-8 from the file."""
     try:
         return str(error)
     except UnicodeDecodeError as undecoded:
@@ -113,19 +113,19 @@ def error_text(error: Exception) -> str:
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:
-    """Return the prim that contains the document: the default prim, or else the first one found."""
+    """Return the prim that contains the document, preferably the default prim, or None if there is none."""
     prims = [stage.GetDefaultPrim(), *stage.Traverse()]
     return next((p for p in prims if p and "document" in _entries(p)), None)
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """Return the path of a document in its project, and its data without those of its members."""
+    """Return the path of a document within its project, and its data without the data of its members."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
 def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
-    """Return all active members, even if they were moved in the hierarchy, in stage order."""
+    """Return all active members in stage order, including members that were moved in the hierarchy."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
@@ -134,7 +134,10 @@ def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
 def _other_variants(
     stage: Usd.Stage, varied: list[StageMember], world: StageFrame
 ) -> dict[str, tuple[StageMember, ...]]:
-    """Return the members for each unselected variant, by path; each stage selects one variant for all of them."""
+    """Return the members for all unselected variants by path.
+
+    Each additional stage selects one of the remaining variants for every object at the same time.
+    """
     from pxr import Sdf, Usd
 
     rest: dict[str, list[str]] = {}
@@ -158,12 +161,12 @@ def _other_variants(
 
 
 def _own_opinions(part: StageMember) -> Values:
-    """Return the values of a variant's prims; values from outside the variant count as built."""
+    """Return the values of a variant's prims, or the compiled value if the strongest opinion is outside the variant."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built, now_values = part.built.get(relative), part.now.get(relative)
-        if now_values is None:  # deleted; if this applies to all variants, it is not an edit of this one
+        if now_values is None:  # deleted, possibly for all variants, so this is not an edit of the variant
             verdicts = [spec for spec in prim.GetPrimStack() if spec.HasInfo("active")] if prim else []
             if built is not None and verdicts and not _in_variant(verdicts[0]):
                 now[relative] = built
@@ -174,7 +177,7 @@ def _own_opinions(part: StageMember) -> Values:
 
 
 def _is_own(prim: Usd.Prim, name: str) -> bool:
-    """Return True if the strongest opinion on a value of :func:`_now` comes from a variant, or if there is none."""
+    """Return True if the strongest opinion on a value in :func:`_now` comes from a variant or does not exist."""
     from pxr import Usd, UsdGeom
 
     if name == "at":
@@ -191,16 +194,16 @@ def _in_variant(spec: Any) -> bool:
 
 
 def placed(at: list[float] | None) -> tuple[Pose, Array]:
-    """Return the pose and scale encoded as ten numbers."""
+    """Decode a pose and a scale from ten numbers; None means identity."""
     if at is None:
         return Pose.of(), np.ones(3)
     return Pose.of(at[:3], at[3:7]), np.array(at[7:])
 
 
 def factored(matrix: Any) -> tuple[Pose, Array]:
-    """Return the pose and scale of a USD transform, which multiplies row vectors.
+    """Decompose a USD transform, which multiplies row vectors, into a pose and a scale.
 
-    A mirrored axis counts as a negative scale along z. A prim that was flattened to nothing has no rotation left.
+    Mirroring becomes a negative scale along z. If the scale is zero along an axis, the rotation is the identity.
     """
     m = np.array(matrix, dtype=np.float64)
     scale = np.linalg.norm(m[:3, :3], axis=1)
@@ -213,16 +216,16 @@ def factored(matrix: Any) -> tuple[Pose, Array]:
 
 
 def links_of(built: Values) -> list[str]:
-    """Return the relative paths of the links of an object as it was written, root first."""
+    """Return the relative paths of an object's links as compiled, with the root first."""
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
 def _part(prim: Usd.Prim, world: StageFrame) -> StageMember:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
-        raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
+        raise StageError(f"{prim.GetPath()}: its metadata does not refer to a member of a scene")
     spec = with_present_keys(SceneSpec.model_fields[section].annotation, {name: _json(prim, "spec")})[name]
-    if spec.get("variants") and "variant" not in _entries(prim):  # added by hand
+    if spec.get("variants") and "variant" not in _entries(prim):  # added by a user
         return StageMember(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
     built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
@@ -238,7 +241,7 @@ def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
 
 
 def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
-    """Return a mapping from the JSON metadata of a prim."""
+    """Return a mapping that is stored as JSON in the metadata of a prim."""
     try:
         data = _tuples(json.loads(str(_entries(prim)[key])))
         if not isinstance(data, dict):
@@ -247,7 +250,7 @@ def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
             check(data)
     except (KeyError, ValueError, TypeError, RecursionError):
         raise StageError(
-            f"{prim.GetPath()}: its metadata `{KEY}:{key}` cannot be read; was it edited by hand?"
+            f"{prim.GetPath()}: could not parse its metadata `{KEY}:{key}`; was it edited by hand?"
         ) from None
     return data
 
@@ -267,7 +270,7 @@ def _checked_values(data: dict[str, Any]) -> None:
 
 
 def _tuples(data: Any) -> Any:
-    """Replace lists by tuples, as in documents."""
+    """Replace lists with tuples, as in documents."""
     if isinstance(data, dict):
         return {key: _tuples(value) for key, value in data.items()}
     return tuple(_tuples(value) for value in data) if isinstance(data, list) else data
@@ -292,19 +295,19 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
 
 
 def _attributes(prim: Usd.Prim) -> dict[str, Any]:
-    """Return the authored values of a prim by name; for animated ones, the first value."""
+    """Return the authored attribute values of a prim by name; for animated attributes, the first value."""
     from pxr import Usd
 
     return {a.GetName(): a.Get(Usd.TimeCode.EarliestTime()) for a in prim.GetAuthoredAttributes() if a.HasValue()}
 
 
 def fallback(prim: Usd.Prim, name: str) -> Any:
-    """Return the fallback of an attribute as plain data; None if its schemas are unknown."""
+    """Return the fallback value of an attribute as plain data, or None if its schema is unknown."""
     return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the visual and contact material of a shape if it was ``built`` with them."""
+    """Return the current visual and contact materials of a shape, but only those that it was ``built`` with."""
     from pxr import UsdShade
 
     now_values: dict[str, Any] = {}
@@ -321,7 +324,7 @@ def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_own(material: dict[str, Any]) -> dict[str, Any]:
-    """Return a contact material with the surface's own coefficients, which foreign materials do not have."""
+    """Add the surface's own coefficients to a contact material; materials that we did not compile lack them."""
     out = dict(material)
     for name, mode in (("friction", "frictionCombineMode"), ("restitution", "restitutionCombineMode")):
         value = plain(material.get("physics:dynamicFriction" if name == "friction" else "physics:restitution", 0.0))

@@ -1,4 +1,4 @@
-"""World frame of a stage in meters with z up, for any stage units and any way of including a compiled stage."""
+"""The world frame of a stage in meters with z up, for any stage units and any way of including a compiled stage."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ if TYPE_CHECKING:
     from pxr import Usd
 
 SAME_SIZE = 1e-4
-"""Relative tolerance of the scale of a corrective transform: inches are often written as 0.0254 or 39.37."""
+"""Relative tolerance for the scale of a corrective transform; inches are often written as 0.0254 or 39.37."""
 
 UPRIGHT_COS = 0.99
-"""Cosine of the largest tilt (8 degrees) that still counts as upright."""
+"""Cosine of the maximum tilt (8 degrees) that counts as upright."""
 
 Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-"""Rotation from a frame with y up to one with z up."""
+"""Rotation from a frame with y up to a frame with z up."""
 
 
 class StageFrame:
-    """Transforms of prims to the world frame in meters with z up, at the earliest time.
+    """Computes transforms from prims to the world frame in meters with z up, at the earliest time.
 
-    A layer on top of a compiled stage keeps its numbers, which are meters, even if the layer declares other units. A
-    stage with other units or another up axis that references a compiled stage has to correct for that with a parent
-    transform. The transform of the document's prim therefore distinguishes the two cases.
+    There are two ways to use a compiled stage in another stage with different units. A stronger layer leaves the
+    numbers unchanged, so they are still in meters even if the layer declares other units. A stage that references the
+    compiled stage has to correct for different units or a different up axis with a parent transform. The transform of
+    the document's prim distinguishes these two cases.
     """
 
     def __init__(self, stage: Usd.Stage, carrier: Usd.Prim) -> None:
@@ -37,11 +38,11 @@ class StageFrame:
         self.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         self.to_m = 1.0
         self.X_WS = np.eye(4)
-        """Transform from the frame and units of the stage to the world, shape (4, 4)."""
+        """Transform from the stage frame and units to the world, shape (4, 4)."""
         self._choose(stage, np.array(self.cache.GetLocalToWorldTransform(carrier), dtype=np.float64).T, carrier)
 
     def matrix(self, prim: Usd.Prim) -> Array:
-        """Return the transform from the frame of a prim to the world, for row vectors as in USD, shape (4, 4)."""
+        """Return the transform from a prim's frame to the world, shape (4, 4), for row vectors as in USD."""
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
 
     def anew(self) -> StageFrame:
@@ -53,11 +54,11 @@ class StageFrame:
         return other
 
     def gravity(self, vector: Array) -> Array:
-        """Convert an acceleration from stage units to [m/s^2]."""
+        """Convert an acceleration from stage units and axes to m/s^2 in the world."""
         return np.asarray(self.X_WS[:3, :3] @ vector)
 
     def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
-        """Interpret numbers as meters or as stage units, whichever preserves the size of the document's prim."""
+        """Interpret numbers either as meters or as stage units, whichever preserves the size of the document's prim."""
         from pxr import UsdGeom
 
         unit = float(UsdGeom.GetStageMetersPerUnit(stage))
@@ -68,20 +69,20 @@ class StageFrame:
         if as_meters is None and as_declared is None and abs(unit - 1.0) > SAME_SIZE:
             factors = " x ".join(f"{v:.4g}" for v in factored(X_SC.T)[1])
             raise StageError(
-                f"{carrier.GetPath()}: it is scaled by {factors} in a stage whose unit is {unit:g} m, so its size is "
-                f"neither that of the document nor scaled on purpose; scale it by {1 / unit:g}, or set the stage's "
-                "`metersPerUnit` to 1"
+                f"{carrier.GetPath()}: it is scaled by {factors} in a stage with a unit of {unit:g} m, which neither "
+                f"preserves the size of the document nor looks intentional; scale it by {1 / unit:g}, or set the "
+                "stage's `metersPerUnit` to 1"
             )
         turned = _is_upright(declared @ X_SC) and not _is_upright(X_SC)
         if as_declared is not None and (as_meters is None or turned):
             declared[:3, :3] /= as_declared
             self.X_WS, self.to_m = declared, unit
-        elif as_declared is None and as_meters is None and turned:  # in meters and scaled intentionally
+        elif as_declared is None and as_meters is None and turned:  # in meters, and scaled intentionally
             self.X_WS = declared
 
 
 def _scale(X_WC: Array) -> float | None:
-    """Return the scale of a size-preserving transform, which is close to 1; None for other transforms."""
+    """Return the uniform scale of a transform if it is close to 1, or None for any other transform."""
     scale = factored(X_WC.T)[1]
     return float(scale.mean()) if bool(np.abs(scale - 1.0).max() <= SAME_SIZE) else None
 

@@ -1,4 +1,4 @@
-"""Objects with variants: the variant that the stage selects, and the edits of each variant."""
+"""Objects with variants: find the selected variant and the edits of each variant."""
 
 from __future__ import annotations
 
@@ -16,30 +16,34 @@ Data = dict[str, Any]
 Edit = Callable[[StageMember], tuple[Data, tuple[StageNote, ...]]]
 
 OF_OBJECT = ("pose", "place", "fixed", "joints")
-"""Keys of an object that its variants do not have."""
+"""Keys of an object that do not belong to its variants."""
 
 _STILL = 1e-9
-"""Tolerance for equal positions [m] and quaternion components: a stage has nine digits."""
+"""Tolerance for equal positions [m] and quaternion components; stages store nine digits."""
 
 
 def variant_data(data: Data, variant: str) -> Data:
-    """Return the data of the ``variant`` of an object, without variants; the data itself if it does not exist."""
+    """Return the data of an object with the given variant applied, without the ``variants`` key.
+
+    If the variant does not exist, the data is returned unchanged.
+    """
     if not variant or variant == UNKNOWN:
         return data
     return to_data(variant_of(ObjectSpec.model_validate(data), variant))
 
 
 def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNote, ...]]:
-    """Return the data of an object with variants, and notes on unsupported edits; ``edit`` reads one variant.
+    """Return the edited data of an object with variants, and notes on unsupported edits.
 
-    Opinions on the object itself, which override all variants, count for the selected variant.
+    ``edit`` converts a single variant. Opinions on the object itself, which override all variants, count as edits of
+    the selected variant.
     """
     spec = part.spec
     names = [DEFAULT_VARIANT, *spec["variants"]]
     if part.variant not in names:
         known = ", ".join(f"`{name}`" for name in names)
-        message = f"the variant that is selected is none of the document's, which are {known}"
-        return spec, (StageNote(part.path, message, "write it into `variants` of the document, and compile again"),)
+        message = f"the selected variant is not in the document; available variants: {known}"
+        return spec, (StageNote(part.path, message, "add it to `variants` in the document and compile again"),)
     data = {key: value for key, value in spec.items() if key != "variant"}
     if part.variant != DEFAULT_VARIANT or spec.get("variant") == DEFAULT_VARIANT:
         data["variant"] = part.variant
@@ -52,7 +56,7 @@ def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNot
             after, found = edit(replace(one, spec=before))
             if one is not part:
                 after, moved = _without_pose(one, before, after)
-                found = tuple(replace(note, message=f"in the variant `{name}`: {note.message}") for note in found)
+                found = tuple(replace(note, message=f"in variant `{name}`: {note.message}") for note in found)
                 notes += moved
             data = _merged(data, name, before, after)
             notes += found
@@ -60,13 +64,13 @@ def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNot
 
 
 def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, list[StageNote]]:
-    """Return an edited variant with the original pose, because all variants share the pose of their object."""
+    """Return an edited variant with the original pose, because all variants of an object share its pose."""
     data = {key: value for key, value in after.items() if key not in OF_OBJECT}
     data |= {key: value for key, value in before.items() if key in OF_OBJECT}
     paths = ["", *links_of(one.built)[:1]]
     if any(_apart(one.built.get(path, {}), one.now.get(path, {})) for path in paths):
-        message = f"the variant `{one.variant}` was moved, and all variants of an object stand in one place"
-        return data, [StageNote(one.path, message, "move the object itself")]
+        message = f"the variant `{one.variant}` was moved, but all variants of an object share the same pose"
+        return data, [StageNote(one.path, message, "move the object instead")]
     return data, []
 
 
@@ -77,7 +81,10 @@ def _apart(built: Data, now: Data) -> bool:
 
 
 def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
-    """Return ``data`` with the variant ``name`` changed to ``after``; the default variant is the object itself."""
+    """Return ``data`` with the variant ``name`` changed from ``before`` to ``after``.
+
+    The data of the default variant is the data of the object itself.
+    """
     changed = [key for key in dict.fromkeys((*before, *after)) if before.get(key) != after.get(key)]
     own = [key for key in changed if name != DEFAULT_VARIANT and key not in OF_OBJECT]
     out = {key: value for key, value in data.items() if key not in changed or key in own}
@@ -86,7 +93,7 @@ def _merged(data: Data, name: str, before: Data, after: Data) -> Data:
         return out
     inherited = variant_data(out, name)
     variant = {key: value for key, value in out["variants"][name].items() if key not in own}
-    # A variant with its own geometry does not inherit geometry fields of the object, so they must be written as well.
+    # A variant with its own geometry does not inherit the object's geometry fields, so they must be written as well.
     stated = [*own, *(OF_GEOMETRY if any(key in own for key in GEOMETRY) else ())]
     for key in stated:
         if key in after and (key in OF_GEOMETRY or after[key] != inherited.get(key)):

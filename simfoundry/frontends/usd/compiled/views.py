@@ -1,4 +1,4 @@
-"""Convert cameras and lights of a stage to document data."""
+"""Convert the cameras and lights in a stage to document data."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LENS = (
     "verticalApertureOffset",
 )
 UPRIGHT_RAD = 1e-3
-"""Largest roll of a camera that is written with `look_at`, which keeps the image upright."""
+"""Maximum roll of a camera that is written with `look_at`, which keeps the image upright."""
 
 
 def edited_camera(part: StageMember) -> Edited:
-    """Return an edited camera: pose and intrinsics."""
+    """Return the data of an edited camera, with its pose and intrinsics."""
     data = dict(part.spec)
     handled = {("", name) for name in LENS}
     built, now = part.built.get("", {}), part.now[""]
@@ -39,7 +39,7 @@ def edited_camera(part: StageMember) -> Edited:
 
 
 def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
-    """Return the size, focal lengths, and principal point [px] of a camera, to a thousandth of a pixel."""
+    """Return the image size, focal lengths, and principal point of a camera, rounded to 0.001 px."""
     focal, across, up = (float(values[n]) for n in ("focalLength", "horizontalAperture", "verticalAperture"))
     width, height = (int(v) for v in values.get("simfoundry:resolution", built["simfoundry:resolution"]))
     right, above = (float(values.get(n, 0.0)) for n in ("horizontalApertureOffset", "verticalApertureOffset"))
@@ -53,9 +53,9 @@ def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
 
 
 def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
-    """Return the pose of a camera (OpenCV axes) as readable data, with `look_at` if the image is upright.
+    """Return the pose of a camera (OpenCV axes) as readable data, using `look_at` if the image is upright.
 
-    The target point has the same distance as in the previous text, or one meter.
+    The target point is at the same distance as in ``before``, or at a distance of one meter.
     """
     xyz = _point(X_WC.p, 4)
     old = before if isinstance(before, dict) else {}
@@ -68,7 +68,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """Return an edited light: intensity, color, and position or direction."""
+    """Return the data of an edited light, with its intensity, color, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
@@ -76,7 +76,9 @@ def edited_light(part: StageMember) -> Edited:
     notes = tuple(rest(part, handled))
     kind = LIGHTS.get(str(part.prim.GetTypeName()))
     if kind is None:
-        return Edited(data, (*notes, StageNote(part.path, f"a {part.prim.GetTypeName()} is no light of a scene")))
+        return Edited(
+            data, (*notes, StageNote(part.path, f"lights of type {part.prim.GetTypeName()} are not supported"))
+        )
     data["type"] = kind.value
     old, new = (v.get(names[0], 1.0) * 2.0 ** v.get(names[1], 0.0) for v in (built, now))
     if differs(old, new):
@@ -89,7 +91,7 @@ def edited_light(part: StageMember) -> Edited:
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
-    """Return the position of a point light or the direction of a distant light; empty for a dome light."""
+    """Return the position of a point light or the direction of a distant light as data; empty for a dome light."""
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}
