@@ -104,10 +104,10 @@ class EditableDocument(DocumentEntry):
         target = Path(path) if path is not None else self.path
         if path is None and self._imported_from is not None:
             raise SimfoundryError(
-                f"this was imported from {self._imported_from}; name a document: `save('a.scene.yaml')`"
+                f"this was imported from {self._imported_from}; specify a file to save to: `save('a.scene.yaml')`"
             )
         if not target.name.endswith(".yaml"):
-            raise SimfoundryError(f"{target} is not a YAML document; name one, e.g. `save('desk.scene.yaml')`")
+            raise SimfoundryError(f"{target} is not a YAML file; specify one, such as `save('desk.scene.yaml')`")
         if target.resolve().parent != self.path.resolve().parent and any(self._files()):
             self._take_files(target)
         text = self.text
@@ -131,11 +131,11 @@ class EditableDocument(DocumentEntry):
         folder = self._mesh_folder
         if folder is None:
             raise SimfoundryError(
-                f"{target} cannot be written: the document names files relative to {self.path.resolve().parent}; "
-                "save it there"
+                f"{target} cannot be written: the document refers to files relative to {self.path.resolve().parent}; "
+                "save it in that folder"
             )
         if (target.parent / folder.name).exists():
-            raise OutputError(f"{target.parent / folder.name} exists; save into another folder")
+            raise OutputError(f"{target.parent / folder.name} already exists; save to a different folder")
         shutil.copytree(folder, target.parent / folder.name)
 
     def __repr__(self) -> str:

@@ -169,7 +169,7 @@ class EntryMapping(MutableMapping[str, E]):
         Example: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``.
         """
         if name in self._names():
-            raise SimfoundryError(f"there is {self._a_noun} `{name}` already; give the new one another name")
+            raise SimfoundryError(f"{self._a_noun} named `{name}` already exists; choose a different name")
         self[name] = fields
         return self[name]
 
@@ -177,7 +177,7 @@ class EntryMapping(MutableMapping[str, E]):
         """Rename a member and update all references to it, for example in relations and placements."""
         self._require(old)
         if new in self._names():
-            raise SimfoundryError(f"there is {self._a_noun} `{new}` already; choose another name")
+            raise SimfoundryError(f"{self._a_noun} named `{new}` already exists; choose a different name")
         self._document._rename(self._at, old, new)
         return self[new]
 

@@ -1,4 +1,4 @@
-"""Commands that reconstruct a scene from pictures: ``capture``, ``demo``."""
+"""Commands that reconstruct a scene from images: ``capture``, ``demo``."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from simfoundry.cli.scenes import settle_table
 
 @subcommand()
 @click.argument("capture", type=ANY)
-@click.option("-o", "--out", type=NEW_FOLDER, help="Write the scene into this folder. Default: build/<capture name>.")
-@click.option("--frame", help="Reconstruct this frame. Default: the first.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="Output folder for the scene. Default: build/<capture name>.")
+@click.option("--frame", help="Name of the frame to reconstruct. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if an object was left out or did not settle well.")
 def capture_command(
@@ -23,8 +23,8 @@ def capture_command(
 ) -> int:
     """Reconstruct a capture (a folder with capture.yaml, color and depth) as a settled scene with meshes.
 
-    Writes NAME.scene.yaml, meshes/, report.json and compare.png. If an object was left out, or did not settle well, the
-    table and the report name it and give the reason.
+    Writes NAME.scene.yaml, meshes/, report.json and compare.png. The table and the report list the objects that were
+    left out or did not settle well, with the reasons.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture
@@ -44,7 +44,7 @@ def capture_command(
 
 
 def _name(capture: Path) -> str:
-    """Return the name of a capture: its folder's name, or NAME for NAME.capture.yaml."""
+    """Return the name of a capture: the name of its folder, or NAME for a file NAME.capture.yaml."""
     if capture.is_dir() or capture.name == "capture.yaml":
         return (capture if capture.is_dir() else capture.parent).resolve().name
     return capture.name.split(".")[0]
@@ -56,10 +56,10 @@ def _name(capture: Path) -> str:
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
-    """Reconstruct a scene from one picture, compile and simulate it, and run a small task with an arm.
+    """Reconstruct a scene from one image, compile and simulate it, and run a small task with a robot arm.
 
-    CAPTURE is a folder with capture.yaml. Without it, the demo uses the project's own desk, whose ground truth is
-    known.
+    CAPTURE is a folder that contains capture.yaml. The default is an included capture of a desk, for which the ground
+    truth is known.
     """
     from simfoundry.capture.demo import own_capture, run_demo
     from simfoundry.evaluate.demo import demonstrate

@@ -37,17 +37,17 @@ if TYPE_CHECKING:
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
 @click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
 @click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
-@click.option("--exit-code", is_flag=True, help="Exit with code 1 if there is a difference.")
+@click.option("--exit-code", is_flag=True, help="Exit with code 1 if there are differences.")
 @click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
 @click.option("--git", "driver", is_flag=True, help="Act as git's diff driver.")
 def diff_command(
     what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
 ) -> int | None:
-    """Show the changes in a document in terms of the scene.
+    """Show changes to a document in terms of the scene.
 
-    Pass two files, or revisions of one file: `HEAD~1 desk.scene.yaml` compares that revision with the working file, and
-    `main..feature desk.scene.yaml` compares two revisions. The default revision is HEAD. Without a file, every document
-    that differs is shown.
+    Pass two files, or revisions of one file: `HEAD~1 desk.scene.yaml` compares a revision with the working file, and
+    `main..feature desk.scene.yaml` compares two revisions. The default revision is HEAD. If no file is specified, all
+    documents that differ are shown.
     """
     import tempfile
 
@@ -60,7 +60,7 @@ def diff_command(
         return DONE
 
     if (form == "html") != (out is not None):
-        raise CannotError("an HTML page needs an output file; give `--format html` and `-o PAGE.html` together")
+        raise CannotError("an HTML page requires an output file; use `--format html` and `-o PAGE.html` together")
     protect_output(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
@@ -119,8 +119,8 @@ def plain(comparison: DocumentComparison) -> dict[str, Any]:
 def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
     """Show what each commit changed in a document, in terms of the scene, latest first.
 
-    Changes in documents that it extends or refers to are included, each as of its commit. The history is that of HEAD,
-    of a revision, or of a range such as `main..feature`.
+    Changes to documents that it extends or refers to are included. The history can be limited to a revision or to a
+    range such as `main..feature`; the default is HEAD.
     """
     from simfoundry.spec.change.git.arguments import document_history
 
@@ -156,12 +156,13 @@ def merge_command(
     args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, force: bool,
     as_json: bool,
 ) -> int:  # fmt: skip
-    """Merge two edits of a document by meaning, or resolve the conflicts of an earlier merge.
+    """Merge two edited versions of a document semantically, or resolve the conflicts from an earlier merge.
 
-    Edits of different values never conflict, regardless of their lines. If both sides changed one value differently,
-    the document keeps ours, lists the value under `conflicts`, and cannot be compiled until the conflict is resolved:
-    correct the value and remove the entry, or choose a side with --resolve, for all conflicts or for the given paths.
-    The exit code is 1 if there is a conflict, or if the merged document has an error that neither side has.
+    Edits to different values never conflict, even if they are on the same line. If both sides changed the same value
+    differently, the merged document keeps our value and lists the conflict under `conflicts`. It cannot be compiled
+    until the conflict is resolved: correct the value and remove the entry, or choose a side with --resolve, either for
+    all conflicts or for the specified paths. The exit code is 1 if there are conflicts, or if the merged document has
+    an error that neither side has.
     """
     if driver:
         return _drive_merge(args)
@@ -194,10 +195,10 @@ def merge_command(
 
 
 def _drive_merge(args: Sequence[str]) -> int:
-    """Merge the second file in place, as git expects; files that are not documents are merged line by line."""
+    """Merge into the second file in place, as git expects; files that are not documents are merged line by line."""
     if len(args) != 5:
         raise CannotError(
-            f"git gives its merge driver 5 arguments, not {len(args)}; `simfoundry git install` sets it up"
+            f"git must pass 5 arguments to its merge driver, not {len(args)}; `simfoundry git install` sets it up"
         )
     base, ours, theirs = map(Path, args[:3])
     name = args[4]
@@ -219,7 +220,7 @@ def _drive_merge(args: Sequence[str]) -> int:
 
 
 def _by_lines(args: Sequence[str]) -> int:
-    """Merge three texts line by line with git, into the second; if that fails, ours stays and git keeps theirs."""
+    """Merge three files line by line into the second one, using git."""
     base, ours, theirs, size, _ = args
     labels = [word for name in ("ours", "base", "theirs") for word in ("-L", name)]
     size_option = [f"--marker-size={size}"] if size.isdigit() and int(size) > 0 else []
@@ -270,7 +271,7 @@ def _text(path: Path) -> str:
 
 
 def _print_merge(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
-    """Print each conflict on a line, the errors, and the next step."""
+    """Print each conflict on a separate line, followed by the errors and the next step."""
     for conflict in merged.conflicts:
         click.echo(printable(str(conflict)), err=True)
     if errors:

@@ -1,4 +1,7 @@
-"""``simfoundry compile``, for one scene and for many: parallel and resumable, with every failure listed at the end."""
+"""The command ``simfoundry compile``, for one or many scenes.
+
+Many scenes are compiled in parallel. The run can be resumed, and all failures are listed at the end.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, p
 if TYPE_CHECKING:
     from simfoundry.targets.batch import CompileJob, CompileOutcome
 
-# NumPy starts a BLAS thread pool at import, a tenth of the command's run time, and no matrix here is large.
+# NumPy starts a BLAS thread pool on import, which takes a tenth of the command's run time and is never useful here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
@@ -26,14 +29,14 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @click.argument("scenes", nargs=-1, required=True, type=ANY)
 @click.option(
     "-t", "--target", "targets", multiple=True,
-    help="Compile for a format, a simulator, or a target folder of your own. Default: all formats.",
+    help="Format, simulator, or target folder to compile for; may be repeated. Default: all formats.",
 )  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER, default=Path("build"), show_default=True,
-    help="Write one folder per target here; with several scenes, one folder per scene.",
+    help="Output folder, with one folder per target; with several scenes, one folder per scene.",
 )  # fmt: skip
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1), help="Compile this many scenes in parallel. Default: one per core."
+    "-j", "--jobs", type=click.IntRange(1), help="Number of scenes to compile in parallel. Default: one per core."
 )
 @click.option("--strict", is_flag=True, help="Exit with code 1 if a target cannot represent everything.")
 @click.option(
@@ -43,13 +46,13 @@ def compile_command(
     scenes: tuple[Path, ...], targets: tuple[str, ...], out: Path, jobs: int | None, strict: bool, force: bool,
     as_json: bool,
 ) -> int:  # fmt: skip
-    """Compile scenes for simulators, one folder per target, with a report of everything that was lost.
+    """Compile scenes for simulators, and report everything that a target cannot represent.
 
-    A target that fails is reported and the others are written; the exit code is then 1, or 2 if none is written.
+    A single scene is written to OUT/TARGET. Multiple scenes, or all scenes below a folder, are written to
+    OUT/SCENE/TARGET. They are compiled in parallel in separate processes, and scenes that are up to date are skipped.
 
-    One scene goes to OUT/TARGET. Several scenes, or the scenes below folders, go to OUT/SCENE/TARGET; they compile in
-    parallel, each in its own process. Scenes that are up to date are skipped. If one fails, the others continue, and
-    the exit code is 1.
+    If a target or a scene fails, the failure is reported, the others are still compiled, and the exit code is 1. If no
+    target of a single scene can be compiled, the exit code is 2.
     """
     if len(scenes) > 1 or scenes[0].is_dir():
         return compile_many(scenes, targets or TARGETS, out, jobs, strict, force, as_json)
@@ -93,12 +96,15 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
 
 
 def _failed(failures: Mapping[str, str]) -> list[str]:
-    """Return a line for each target that could not be compiled."""
+    """Return one line for each target that could not be compiled."""
     return [f"{target} is not written: {reason}" for target, reason in failures.items()]
 
 
 def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
-    """Return a line per reason for dropped elements: ``gravity is not written: URDF has no world settings``."""
+    """Return one line for each reason why elements were dropped.
+
+    Example: ``gravity is not written: URDF has no world settings``.
+    """
     by_reason: dict[str, list[str]] = {}
     for loss in losses:
         if loss["fidelity"] == "dropped":
@@ -115,7 +121,7 @@ def compile_many(
     paths: Sequence[Path], targets: tuple[str, ...], out: Path, workers: int | None, strict: bool, force: bool,
     as_json: bool,
 ) -> int:  # fmt: skip
-    """Compile the scenes among ``paths`` and below its folders; return the exit code."""
+    """Compile all scenes in ``paths`` and below the folders in ``paths``, and return the exit code."""
     from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, compile_all, compile_job, jobs_of
     from simfoundry.targets.find import find_target
 
@@ -140,9 +146,9 @@ def compile_many(
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
-    """Raise :class:`CannotError` if there is no scene, or if two scenes would share a folder."""
+    """Raise :class:`CannotError` if there are no scenes, or if two scenes would share an output folder."""
     if not jobs:
-        raise CannotError(f"there is no *.scene.yaml below {', '.join(map(str, paths))}")
+        raise CannotError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
     taken: dict[Path, Path] = {}
     for job in jobs:
         other = taken.setdefault(job.out, job.scene)
@@ -153,7 +159,7 @@ def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
 
 
 def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
-    """Print a line for each scene, then the errors of those that failed, then the totals."""
+    """Print one line for each scene, then the errors of the scenes that failed, then the totals."""
     from simfoundry.targets.batch import COMPILED, CURRENT, FAILED
 
     width = max(len(outcome.scene) for outcome in outcomes)

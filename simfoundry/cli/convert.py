@@ -1,4 +1,4 @@
-"""Commands for other formats: ``import``, ``export``."""
+"""Commands that convert to and from other formats: ``import``, ``export``."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ HEADINGS = {
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path),
-    help="Write NAME.scene.yaml or NAME.asset.yaml, or into this folder. Default: named after the file.",
+    help="Output document (NAME.scene.yaml or NAME.asset.yaml) or folder. Default: named after the input file.",
 )  # fmt: skip
 @click.option(
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="Resolve `package://NAME/…` in this folder; may be repeated.",
+    help="Folder in which to resolve `package://NAME/…`; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--scene", type=FILE,
-    help="Scene of the task to import.",
+    help="Scene for the imported task.",
 )  # fmt: skip
 @click.option(
     "--onto", type=FILE,
-    help="Apply the edits of a compiled stage to this document, keeping its comments.",
+    help="Apply the edits made to a compiled stage to this document, keeping its comments.",
 )  # fmt: skip
 @click.option(
     "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
-    help="Bind a name of a BDDL task to an object of --scene; may be repeated.",
+    help="Bind a name in a BDDL task to an object in --scene; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
@@ -69,24 +69,24 @@ def import_command(
     files: tuple[Path, ...], out: Path | None, packages: dict[str, str], scene: Path | None, onto: Path | None,
     bound: dict[str, str], density: float | None, force: bool, strict: bool, as_json: bool,
 ) -> int:  # fmt: skip
-    """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
+    """Import URDF, MJCF, USD or BDDL files, or scenes and tasks from the paper's release, as documents.
 
-    A stage that `compile` wrote becomes its own document again, with the edits made to the stage: in OUT if that
-    exists, or in the document given by --onto.
+    If a stage was written by `compile`, its original document is restored and the edits made to the stage are applied
+    to it. The edits are applied to the document OUT if it exists, or to the document specified with --onto.
 
-    Meshes go to NAME_files beside the document. Every difference between the file and the document is reported. Nothing
-    is written for a file that is rejected; the exit code is then 2.
+    Meshes are written to the folder NAME_files next to the document. Every difference between the file and the document
+    is reported. If a file is rejected, nothing is written for it and the exit code is 2.
     """
     from simfoundry.frontends.draft import ImportOptions
     from simfoundry.frontends.importer import import_file
 
     if onto is not None or (len(files) == 1 and is_compiled_stage(files[0])):
         if len(files) > 1:
-            raise CannotError("--onto takes one stage")
+            raise CannotError("--onto accepts only one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
     for name, path in packages.items():
         if not Path(path).is_dir():
-            raise CannotError(f"`--package {name}={path}` does not name a folder")
+            raise CannotError(f"--package {name}={path}: `{path}` is not a folder")
     folders = {name: Path(path) for name, path in packages.items()}
     options = ImportOptions(folders, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
@@ -99,7 +99,7 @@ def import_command(
             click.echo(_described(report))
         return FINDINGS if strict and report.notes else DONE
     if out is None or out.name.endswith(".yaml"):
-        raise CannotError("several files need an output folder; pass `-o FOLDER`")
+        raise CannotError("importing several files requires an output folder; pass `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
 
 
@@ -114,11 +114,11 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
         report = {"source": str(path), "out": str(out), "changed": changed}
         print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
     else:
-        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "nothing to change"))
+        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "no changes"))
         for note in imported.notes:
             click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
         for disputed in imported.disputed:
-            click.echo(f"  edited in the document as well: {disputed}; the values of the stage were kept")
+            click.echo(f"  edited in both the stage and the document: {disputed}; the values in the stage were kept")
     return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
 
 
@@ -128,7 +128,8 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
     jobs = list(_jobs(files, out))
     if not jobs:
         raise CannotError(
-            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(model_suffixes())} are read"
+            f"could not find any file to import below {', '.join(map(str, files))}; "
+            f"supported extensions: {', '.join(model_suffixes())}"
         )
     reports = []
     with progress_bar(as_json) as progress:
@@ -146,7 +147,7 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
 
 
 def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
-    """Return the report on one file of many; an error in one file does not stop the others."""
+    """Import one of several files and return the report; errors are reported instead of raised."""
     from simfoundry.frontends.draft import ImportNote, ImportNoteKind
     from simfoundry.frontends.importer import ImportReport, import_file
     from simfoundry.frontends.usd.compiled.loading import import_stage
@@ -162,7 +163,7 @@ def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportRep
 
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
-    """Return each file with the path of its document; the folder structure is preserved."""
+    """Yield each file with the path of its output document, preserving the folder structure."""
     from simfoundry.frontends.registry import model_suffixes
 
     suffixes = model_suffixes()
@@ -176,7 +177,7 @@ def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
 
 
 def _is_model(path: Path) -> bool:
-    """Return whether to import a file found in a folder: not package manifests or files that others include."""
+    """Return True if a file found in a folder is a model, not a package manifest or a file included by a model."""
     if path.suffix.lower() not in (".xml", ".json"):
         return True
     with path.open("rb") as stream:
@@ -196,7 +197,7 @@ def _default_name(path: Path) -> str:
 
 
 def _described(report: ImportReport) -> str:
-    """Describe the imported document and each difference from the file."""
+    """Return a description of the imported document and of each difference from the file."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
     lines += _warned_of_masses(report)
@@ -216,7 +217,7 @@ def _described(report: ImportReport) -> str:
 
 
 def _warned_of_masses(report: ImportReport) -> list[str]:
-    """Return a warning about links without a mass, listing the masses assumed at the default density."""
+    """Return a warning that lists the masses computed from the default density, or nothing if there are none."""
     masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
     if not masses:
         return []
@@ -224,7 +225,7 @@ def _warned_of_masses(report: ImportReport) -> list[str]:
     shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
     total = sum(report.assumed_masses.values())
     return [
-        f"warning: {count} no mass; as solids at 1000 kg/m^3 the mass is {total:.3g} kg: "
+        f"warning: {count} no mass; solids with 1000 kg/m^3 are assumed, for a total of {total:.3g} kg: "
         f"{_listed(shown)}; set the density with --density (wood 600), or write `mass:` for each"
     ]
 
@@ -241,14 +242,14 @@ def _counts(report: ImportReport) -> str:
 
 
 def _table(reports: list[ImportReport]) -> str:
-    """Return one line per file, and a total."""
+    """Return one line per file, followed by the totals."""
     width = max(len(report.source) for report in reports)
     lines = []
     for report in reports:
         if report.error:
             lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
         else:
-            notes = f"; {len(report.notes)} not as in the file" if report.notes else ""
+            notes = f"; {len(report.notes)} different from the file" if report.notes else ""
             lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
             lines += [f"  {line}" for line in _warned_of_masses(report)]
     refused = sum(bool(report.error) for report in reports)
@@ -260,15 +261,15 @@ def _table(reports: list[ImportReport]) -> str:
 @click.argument("task", type=FILE)
 @click.option(
     "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
-    help="Write BDDL for LIBERO or BEHAVIOR, or the task YAML of the paper's release.",
+    help="Output format: BDDL for LIBERO or BEHAVIOR, or the task YAML used in the paper's release.",
 )  # fmt: skip
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
 def export_command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
-    """Write a task as BDDL, or in the format of the paper's release.
+    """Write a task as BDDL, or in the format used in the paper's release.
 
-    A goal that the format cannot express is an error; parts of the initial state that it cannot express are reported.
-    `simfoundry import` reads all three formats.
+    If the format cannot express the goal, the command fails. Parts of the initial state that the format cannot express
+    are reported. `simfoundry import` can read all three formats.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.frontends.task_export import export_task
@@ -281,7 +282,7 @@ def export_command(task: Path, format_: str, out: Path | None, force: bool, stri
     assert isinstance(spec, TaskSpec)
     protect_output(out, [task, *loaded.files()], force)
     if as_json and out is None:
-        raise CannotError("--json needs an output file; name it with `-o FILE`")
+        raise CannotError("--json requires an output file; specify one with `-o FILE`")
     export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
         print_document(export.text)

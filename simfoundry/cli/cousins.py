@@ -33,22 +33,22 @@ if TYPE_CHECKING:
 @click.argument("recipe", type=FILE)
 @click.option(
     "-n", "--count", type=click.IntRange(1, 1_000_000),
-    help="Number of cousins to make. Default: the recipe's.",
+    help="Number of cousins to make. Default: the count in the recipe.",
 )  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER,
-    help="Write into this folder, inside the twin's project. Default: build/NAME.",
+    help="Output folder, inside the twin's project. Default: build/NAME.",
 )  # fmt: skip
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Number of processes. Default: one per core.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Use this seed instead of the recipe's.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Number of parallel processes. Default: one per core.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Random seed, which overrides the seed in the recipe.")
 @click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option(
     "--gallery", type=click.IntRange(0, 1000), default=24, show_default=True,
-    help="Number of pictures on the page.",
+    help="Number of images on the gallery page.",
 )  # fmt: skip
-@click.option("--no-gallery", is_flag=True, help="Do not draw pictures.")
-@click.option("--vlm", default="", metavar="MODEL", help="Use this model for recipes that need one.")
+@click.option("--no-gallery", is_flag=True, help="Do not write the gallery page.")
+@click.option("--vlm", default="", metavar="MODEL", help="Model to use for recipes that require one.")
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
 def cousins_command(
     recipe: Path, count: int | None, out: Path | None, jobs: int | None, seed: int | None,
@@ -57,10 +57,10 @@ def cousins_command(
 ) -> int:  # fmt: skip
     """Make variants of a scene or task that preserve its affordances.
 
-    Each cousin is a document in OUT that extends the twin and states only the differences. OUT/manifest.json lists the
-    cousins and every rejected candidate with the reasons; OUT/gallery.html shows the first cousins. The same recipe and
-    seed give the same bytes. To resume an interrupted run, repeat the command; to combine shards written to one folder,
-    run it without --shard.
+    Each cousin is a document in OUT that extends the twin and contains only the differences. OUT/manifest.json lists
+    the cousins and every rejected candidate with the reasons, and OUT/gallery.html shows the first cousins. The output
+    is fully determined by the recipe and the seed. To resume an interrupted run, repeat the command. To combine shards
+    that were written to the same folder, run the command without --shard.
 
     The exit code is 1 if there are fewer cousins, or fewer variants of an object, than requested.
     """
@@ -100,7 +100,7 @@ def cousins_command(
 
 
 def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
-    """Return the recipe and the output folder, which from now on belongs to the twin's project."""
+    """Read the recipe, choose the output folder, and make the folder part of the twin's project."""
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
 
     read = read_recipe(recipe, seed)
@@ -108,7 +108,7 @@ def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Pat
     marker = claim_project(read, folder)
     if marker is not None:
         click.echo(f"wrote {marker}, which marks the root of the project", err=True)
-        read = read_recipe(recipe, seed)  # the marker may have enlarged the project of its documents
+        read = read_recipe(recipe, seed)  # the marker may have added documents to the project
     return read, folder
 
 
@@ -116,7 +116,7 @@ def _write_outputs(
     plan: RunPlan, ledger: Ledger, recipe: Recipe, pictures: int, stage: Path | None,
     progress: Callable[[str, float], None],
 ) -> None:  # fmt: skip
-    """Write all outputs except the cousins, which are already there; delete the logs last."""
+    """Write all outputs except the cousins, which have already been written, and then delete the logs."""
     from simfoundry.cousins.run.report import write_manifest, write_stage
     from simfoundry.cousins.run.run import finish
     from simfoundry.reports.gallery import write_gallery
@@ -159,7 +159,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
             err=True,
         )
     elif short:
-        click.echo(f"the recipe has only these {ledger.examined} candidates", err=True)
+        click.echo(f"the recipe allows only {ledger.examined} candidates", err=True)
     where = plan.out / MANIFEST if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
     return end
@@ -171,20 +171,26 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
     "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Number of tasks to propose."
 )
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the order of proposals.")
-@click.option("--about", multiple=True, metavar="OBJECT", help="Propose only tasks with this object; may be repeated.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed for the order of the proposals."
+)
+@click.option(
+    "--about", multiple=True, metavar="OBJECT", help="Propose only tasks that involve this object; may be repeated."
+)
 @click.option(
     "--payload", type=click.FloatRange(0, min_open=True),
-    help="Payload of the robot [kg]. Default: its known payload.",
+    help="Payload of the robot [kg]. Default: the known payload of the model.",
 )  # fmt: skip
-@click.option("--vlm", metavar="MODEL", help="Ask this model, e.g. `openai:gpt-5`, instead of enumerating affordances.")
+@click.option(
+    "--vlm", metavar="MODEL", help="Ask this model, such as `openai:gpt-5`, instead of enumerating affordances."
+)
 @click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
-              help="Format of the model's answer: typed, or the text of the paper's prompt.")  # fmt: skip
-@click.option("-c", "--camera", help="Camera whose picture the model sees. Default: the scene's first.")
+              help="Format of the model's response: typed, or the text format used in the paper.")  # fmt: skip
+@click.option("-c", "--camera", help="Camera whose image is sent to the model. Default: the scene's first.")
 @click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
-              help="Engine that checks that a reached goal persists; may be repeated. Default: MuJoCo.")  # fmt: skip
-@click.option("--rejected", is_flag=True, help="Also list the rejected tasks, with the reasons.")
+              help="Engine that checks whether reached goals persist; may be repeated. Default: MuJoCo.")  # fmt: skip
+@click.option("--rejected", is_flag=True, help="Also list rejected tasks, with the reasons.")
 def propose_command(
     scene: Path, count: int, out: Path | None, seed: int, about: tuple[str, ...], payload: float | None,
     vlm: str | None, base_url: str | None, form: Literal["typed", "paper"], camera: str | None,
@@ -192,9 +198,9 @@ def propose_command(
 ) -> int:  # fmt: skip
     """Propose tasks for a scene, from its affordances or a model's suggestions, each verified to be feasible.
 
-    A task is accepted if its names exist, its goal does not hold already, physics finds a state in which the goal
-    holds, a robot can grasp and reach the objects, and no other accepted task is equivalent. The exit code is 1 if
-    there are fewer tasks than requested.
+    A task is accepted if all names in it exist, its goal does not already hold, a physically stable state in which the
+    goal holds can be found, a robot can reach and grasp the objects, and it is not equivalent to another accepted task.
+    The exit code is 1 if there are fewer tasks than requested.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.tasks.context import TaskContext
@@ -234,7 +240,7 @@ def propose_command(
 
 
 def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
-    """Render the scene from a camera as PNG."""
+    """Render the scene from a camera and return the image as PNG data."""
     from simfoundry.render.montage import png_bytes
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.scene import SceneSpec

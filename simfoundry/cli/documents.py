@@ -37,9 +37,10 @@ if TYPE_CHECKING:
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
-    """Return the given files and the documents below the given folders, each once.
+    """Return the given files and the documents below the given folders, without duplicates.
 
-    Below folders, names that start with a dot and documents that the project excludes are skipped.
+    Files and folders whose names start with a dot, and documents that the project excludes, are skipped unless they
+    are specified explicitly.
     """
     files: dict[Path, None] = {}
     excluded = 0
@@ -50,18 +51,18 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
             kept = _included(found, path)
             excluded += len(found) - len(kept)
             files |= dict.fromkeys(kept)
-        elif path.exists() or path.is_symlink():  # a link to nothing is reported when it is read
+        elif path.exists() or path.is_symlink():  # a broken symbolic link is reported when it is read
             files[path] = None
         else:
             raise CannotError(f"there is no file {path}")
     if not files:
-        but = f" but {excluded} that {MARKER} excludes" if excluded else ""
-        raise CannotError(f"there is no document below {', '.join(map(str, paths))}{but}")
+        but = f" except {excluded} excluded by {MARKER}" if excluded else ""
+        raise CannotError(f"could not find any documents below {', '.join(map(str, paths))}{but}")
     return list(files)
 
 
 def _included(found: list[Path], folder: Path) -> list[Path]:
-    """Return the documents that are excluded neither by the project of ``folder`` nor by their own project."""
+    """Return the documents that are not excluded by the project that contains ``folder`` or by their own project."""
     projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
 
     def is_excluded(path: Path) -> bool:
@@ -71,7 +72,7 @@ def _included(found: list[Path], folder: Path) -> list[Path]:
 
 
 MANY = 100
-"""Number of documents from which a terminal shows a progress bar."""
+"""Minimum number of documents for which a progress bar is shown on a terminal."""
 
 
 @subcommand()
@@ -80,11 +81,12 @@ MANY = 100
     "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
     help="Output format: text, or a format for scripts, code scanning or GitHub.",
 )  # fmt: skip
-@click.option("--lints/--no-lints", default=True, help="Check geometry as well, or only the structure.")
+@click.option("--lints/--no-lints", default=True, help="Also check the geometry, or only the structure.")
 def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
-    """Check documents, or every document below the given folders (default: the working folder).
+    """Check the given documents, and all documents below the given folders (default: the working folder).
 
-    The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` describes a finding in detail.
+    The exit code is 1 if there are errors or warnings. To see a detailed description of a finding, run `simfoundry
+    explain CODE`.
     """
     from simfoundry.runtime.parallel import map_parallel
     from simfoundry.spec.check.report import gather, renderer
@@ -112,14 +114,14 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
 
 
 _known: dict[Path, Known] = {}
-"""Documents that this process has read during a command, by project; shared documents are read once."""
+"""Documents that this process has read while running the command, by project; shared documents are read only once."""
 
 _linted: set[Path] = set()
-"""Documents that this process has linted during a command."""
+"""Documents that this process has linted while running the command."""
 
 
 def _check(file: Path, lints: bool) -> Checked:
-    """Return the findings of one document; also called in worker processes."""
+    """Return the findings for one document. This function is also called in worker processes."""
     from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import load
     from simfoundry.spec.project import project_root
@@ -135,7 +137,7 @@ def _check(file: Path, lints: bool) -> Checked:
 
 
 def _used(loaded: Loaded) -> Iterator[Path]:
-    """Return the files that a document extends or refers to, transitively."""
+    """Yield the files that a document extends or refers to, directly or indirectly."""
     yield from loaded.bases
     for used in loaded.uses.values():
         yield used.path
@@ -147,13 +149,13 @@ STDIN = Path("-")
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
-@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if something would change.")
-@click.option("--diff", is_flag=True, help="Write nothing, and show the changes.")
+@click.option("--check", is_flag=True, help="Do not write anything; exit with code 1 if a document would change.")
+@click.option("--diff", is_flag=True, help="Do not write anything; show the changes.")
 def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
-    """Rewrite documents in their canonical form, keeping comments and meaning.
+    """Rewrite documents in their canonical form, preserving their comments and meaning.
 
-    PATHS are files, or folders with documents below them (default: the working folder); `-` reads standard input and
-    writes standard output. A file that cannot be read is reported and left unchanged (exit code 2).
+    PATHS are documents, or folders that contain documents (default: the working folder). `-` reads from standard input
+    and writes to standard output. Files that cannot be parsed are reported and left unchanged, and the exit code is 2.
     """
     from simfoundry.spec.change.format import format_file
 
@@ -179,12 +181,12 @@ def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool)
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Write nothing, and exit with code 1 if a document is out of date.")
+@click.option("--check", is_flag=True, help="Do not write anything; exit with code 1 if a document is out of date.")
 def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
-    """Update older documents in place: their version, and keys that were renamed. Comments are kept.
+    """Update older documents in place to the current version, including keys that were renamed. Comments are kept.
 
-    PATHS are files, or folders with documents below them (default: the working folder). A document's first key states
-    its version.
+    PATHS are documents, or folders that contain documents (default: the working folder). The first key of a document
+    contains its version.
     """
     from simfoundry.spec.change.format import Formatted, migrated
     from simfoundry.spec.yaml.text import read
@@ -206,24 +208,30 @@ def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
 
 
 class _Rewritten(NamedTuple):
-    """Documents of a command, the new texts of those that change, and findings of those that cannot be read."""
+    """The result of rewriting documents.
+
+    Attributes:
+        files: The documents that could be parsed.
+        changed: The new text of each document that changes.
+        findings: The findings for the documents that could not be parsed.
+    """
 
     files: list[Path]
     changed: dict[Path, Formatted]
     findings: list[Diagnostic]
 
     def to_json(self, changed: str) -> dict[str, Any]:
-        """Return the report for scripts, with the documents that change under a key."""
+        """Return the report as JSON data, with the changed documents under the key ``changed``."""
         files, changes = ([str(path) for path in paths] for paths in (self.files, self.changed))
         return {"files": files, changed: changes, "findings": [d.to_json() for d in self.findings]}
 
     def exit_code(self, check: bool) -> int:
-        """Return the exit code; changes count only if nothing is written."""
+        """Return the exit code; if ``check`` is set, changes lead to exit code 1."""
         return CANNOT if self.findings else FINDINGS if check and self.changed else DONE
 
 
 def _rewrite(files: list[Path], change: Callable[[Path], Formatted], keep: bool) -> _Rewritten:
-    """Apply a change to documents, and write those that it changes unless ``keep``."""
+    """Apply a change to documents and, unless ``keep`` is set, write the documents that changed."""
     from simfoundry.spec.yaml.nodes import YamlError
 
     done = _Rewritten([], {}, [])
@@ -244,7 +252,7 @@ def _rewrite(files: list[Path], change: Callable[[Path], Formatted], keep: bool)
 
 
 def _format_stream(check: bool, diff: bool) -> int:
-    """Format standard input to standard output."""
+    """Format a document from standard input and write it to standard output."""
     from simfoundry.spec.change.format import Formatted, format_text
     from simfoundry.spec.diagnostics import Severity
 
@@ -261,7 +269,7 @@ def _format_stream(check: bool, diff: bool) -> int:
 
 
 def _difference(path: Path, text: Formatted) -> str:
-    """Return a unified diff of the formatting of a document."""
+    """Return a unified diff between a document and its formatted version."""
     import difflib
 
     before, after = (t.splitlines(keepends=True) for t in (text.before, text.after))

@@ -1,4 +1,4 @@
-"""Commands that measure policies: ``eval``, ``correlate``."""
+"""Commands that evaluate policies: ``eval``, ``correlate``."""
 
 from __future__ import annotations
 
@@ -32,34 +32,46 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
 
 SENTENCES = 10
-"""Number of problems, and of comparisons, printed as sentences; more do not fit on a screen beside the table."""
+"""Maximum number of problems, and of comparisons, printed as sentences; with the table, more would not fit on a
+screen."""
 
 
 @subcommand("eval")
 @click.argument("tasks", nargs=-1, required=True, type=ANY)
 @click.option(
     "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
-    help="random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml, or a server: "
-    "openpi:localhost:8000?action_space=joint_position.",
+    help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a server such "
+    "as openpi:localhost:8000?action_space=joint_position. May be repeated.",
 )  # fmt: skip
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
 @click.option(
     "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
-    help="Number of rollouts of each task.",
+    help="Number of rollouts for each task.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed of the initial states.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed for the initial states."
+)
 @click.option(
     "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="Run in this engine; give the option twice to compare two.",
+    show_default=True, help="Run in this engine; repeat the option to compare two engines.",
 )  # fmt: skip
-@click.option("--from", "onward", metavar="STEP", help="Start at this step and require the whole goal.")
-@click.option("--step", "alone", metavar="STEP", help="Start at this step and require only its goal.")
-@click.option("--subtasks", is_flag=True, help="Also run each step that defines its own start.")
+@click.option("--from", "onward", metavar="STEP", help="Start at this step and require the goal of the task.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step and require only the goal of this step.")
+@click.option("--subtasks", is_flag=True, help="Also run each step that defines its own initial state.")
 @click.option(
-    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if rendering works here."
+    "--video/--no-video",
+    default=None,
+    help="Record a video of each rollout. Default: if rendering is possible.",
 )
-@click.option("--camera", "cameras", multiple=True, help="Record from these cameras. Default: the scene's first.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of processes.")
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    help="Record videos from this camera; may be repeated. Default: the scene's first.",
+)
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of parallel processes."
+)
 @click.option(
     "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
 )
@@ -71,17 +83,19 @@ def eval_command(
 ) -> int:  # fmt: skip
     """Evaluate policies on tasks.
 
-    TASKS are task documents, or folders of them. Every policy gets the same initial states; in each rollout, each
-    object starts in a different cell of its grid. OUT contains one file per rollout. Finished rollouts are not
-    repeated: to resume an interrupted run, repeat the command; shards that write to one folder are combined there.
-    OUT/results.json has the results (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the
-    videos. With `--world mujoco --world pybullet` both engines get the same initial states, and the report lists the
-    rollouts in which they disagree.
+    TASKS are task documents, or folders that contain task documents. All policies start from the same initial states;
+    each object starts in a different cell of its grid in each rollout.
 
-    A policy that answers with an error, or with an invalid action, fails that rollout. If a policy does not answer, the
-    rollout is missing: it counts in no rate, and the same command tries it again.
+    OUT contains one file per rollout. OUT/results.json contains the results, which `simfoundry correlate` can read, and
+    OUT/report.html shows the initial states and the videos. Finished rollouts are not repeated, so you can repeat the
+    command to resume an interrupted run. Shards that write to the same folder are combined there. With `--world mujoco
+    --world pybullet`, both engines use the same initial states, and the report lists the rollouts in which they
+    disagree.
 
-    The exit code is 1 if rollouts are missing, or if a rate is below --require.
+    If a policy responds with an error or an invalid action, the rollout fails. If a policy does not respond, the
+    rollout is missing: it is not included in any success rate, and the same command tries it again.
+
+    The exit code is 1 if rollouts are missing or if a success rate is below --require.
     """
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
@@ -107,12 +121,14 @@ def eval_command(
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
-    """Return whether videos can be rendered here, and report the reason if not. PyBullet needs no driver."""
+    """Return True if videos can be rendered; if not, print the reason. PyBullet does not need a GL driver."""
     from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
-    click.echo("no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one", err=True)
+    click.echo(
+        "no videos: MuJoCo could not find a GL driver; run `simfoundry doctor` to see how to install one", err=True
+    )
     return False
 
 
@@ -142,7 +158,9 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
         for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
         if len(troubles) > SENTENCES:
-            click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
+            click.echo(
+                f"and {len(troubles) - SENTENCES} more; {plan.folder / 'results.json'} contains all of them", err=True
+            )
         if missing:
             click.echo(f"{missing} rollouts are missing; repeat the command to run them", err=True)
         for cell in low:
@@ -174,7 +192,7 @@ def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
-    """Print the rates over all tasks, and the significance of the differences between policies."""
+    """Print the success rates over all tasks and the significance of the differences between policies."""
     from rich.table import Column, Table
 
     from simfoundry.evaluate.statistics.comparisons import compare_engines, compare_policies
@@ -211,26 +229,27 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
-    help="Number of samples for the intervals.",
+    help="Number of samples used to compute the intervals.",
 )  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the sampling.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed for sampling.")
 @click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def correlate_command(
     real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
+    """Compare simulated success rates with real ones by Pearson's r and MMRV, separately for each task.
 
-    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or results of `simfoundry eval`.
-    Each SIM is compared with REAL over the tasks and policies that both contain. The brackets are 95 % intervals, from
-    rates sampled from their posteriors and resampled policies. r is undefined if all policies succeed equally often.
+    REAL and SIM are results from `simfoundry eval`, or CSV tables with task, policy, and either a rate or the number of
+    successes and rollouts. Each SIM is compared with REAL on the tasks and policies that both contain. The brackets
+    show 95 % intervals, which are computed by sampling the rates from their posteriors and resampling the policies. r
+    is undefined if all policies have the same success rate.
     """
     from simfoundry.evaluate.statistics import correlation
 
     protect_output(svg, [real, *sim], force)
     truth = correlation.read_scores(real)
     if len(engines := correlation.by_engine(truth)) > 1:
-        raise CannotError(f"{real} has results of {' and '.join(engines)}; pass one table of real results")
+        raise CannotError(f"{real} contains results from {' and '.join(engines)}; pass a single table of real results")
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_table_names(sim), sim, strict=True):
         each = correlation.by_engine(correlation.read_scores(path))
@@ -255,7 +274,7 @@ def _table_names(sim: Sequence[Path]) -> list[str]:
     for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
         if len(set(names)) == len(names):
             return names
-    raise CannotError("the same table is given twice")
+    raise CannotError("the same table was passed twice")
 
 
 def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""``simfoundry git``."""
+"""The command ``simfoundry git``."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
 PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
-"""File patterns of documents."""
+"""File patterns that match documents."""
 LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
 
 
 @click.group()
 def git_command() -> None:
-    """Set up git to diff and merge documents by meaning."""
+    """Set up semantic diffs and merges of documents in git."""
 
 
 @git_command.command()
@@ -33,8 +33,9 @@ def git_command() -> None:
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     """Register simfoundry as git's diff and merge driver for documents.
 
-    The settings go into git's own configuration, which is not shared, and the file patterns into `.gitattributes`,
-    which is shared: commit it. On machines without the settings, git treats documents as text, as usual.
+    The settings are written to git's own configuration, which is not shared. The file patterns are written to
+    `.gitattributes`, which is shared and should be committed. On machines without these settings, git treats documents
+    as text, as usual.
     """
     attributes = _attributes_file(everywhere, here)
     scope, words = ("--global", "for all your repositories") if everywhere else ("--local", "in this repository")
@@ -53,7 +54,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {attributes}")
     click.echo(f"done {words}; to undo: simfoundry git install{' --global' if everywhere else ''} --uninstall")
     if not everywhere:
-        click.echo("commit .gitattributes; every member of the team must run `simfoundry git install` once")
+        click.echo("commit .gitattributes; each team member must run `simfoundry git install` once")
     return DONE
 
 
@@ -61,7 +62,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
 @json_option
 @reporting
 def status(as_json: bool) -> int:
-    """Show the settings for this repository and for all. The exit code is 1 if a setting is missing."""
+    """Show the git settings that apply to this repository. The exit code is 1 if a setting is missing."""
     wanted = settings()
     found = {key: _output("config", "--get", key) for key in wanted}
     folder = _top()
@@ -74,19 +75,22 @@ def status(as_json: bool) -> int:
             other = "" if value == wanted[key] else "  (from another installation; run install to update it)"
             click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
         if folder is None:
-            click.echo("this is not a git repository, so it has no attributes")
+            click.echo("this is not a git repository, so there are no attributes")
         else:
-            click.echo(f"documents {'have' if attributes else 'do not have'} the attributes diff and merge here")
+            click.echo(
+                f"documents in this repository {'have' if attributes else 'do not have'} the attributes diff and merge"
+            )
         if not (all(found.values()) and attributes):
             click.echo("to add the missing settings: simfoundry git install")
     return DONE if all(found.values()) and attributes else FINDINGS
 
 
 def settings() -> dict[str, str]:
-    """Return the settings by key. They name this Python, so that they work without an active environment.
+    """Return the git settings by key.
 
-    -P keeps Python from importing modules of the repository in which git runs. If this Python, or simfoundry in it, no
-    longer exists, documents are merged as text.
+    The settings contain the path of the current Python interpreter, so they work without an active environment. The
+    option -P prevents Python from importing modules from the repository in which git runs. If the interpreter or its
+    simfoundry installation no longer exists, documents are merged as text.
     """
     python = shlex.quote(Path(sys.executable).as_posix())
     ours = f"{python} -P -m simfoundry.cli.main"
@@ -95,13 +99,13 @@ def settings() -> dict[str, str]:
     by_lines = "git merge-file -L ours -L base -L theirs --marker-size=%L %A %O %B"
     return {
         f"diff.{DRIVER}.command": f"{ours} diff --git",
-        f"merge.{DRIVER}.name": "documents of SimFoundry, merged by meaning",
+        f"merge.{DRIVER}.name": "semantic merge of SimFoundry documents",
         f"merge.{DRIVER}.driver": f"if {asked}; then {by_meaning} %O %A %B %L %P; else {by_lines}; fi",
     }
 
 
 def _attributes_file(everywhere: bool, here: bool) -> Path:
-    """Return the file with the file patterns of this repository, or of all repositories of the user."""
+    """Return the attributes file of the current repository, or of all repositories of the user."""
     if everywhere and here:
         raise CannotError("--global and --local are mutually exclusive")
     if everywhere:
@@ -115,13 +119,13 @@ def _attributes_file(everywhere: bool, here: bool) -> Path:
 
 
 def _top() -> Path | None:
-    """Return the top folder of the current repository; None if there is none, or if it has no working tree."""
+    """Return the top folder of the current repository, or None outside a repository with a working tree."""
     found = _output("rev-parse", "--show-toplevel")
     return Path(found) if found else None
 
 
 def _add_lines(file: Path) -> bool:
-    """Add the missing patterns; keep all other lines."""
+    """Add the missing patterns to a file, and return True if there were any; other lines are kept."""
     text = _read(file)
     missing = [line for line in LINES if line not in text.splitlines()]
     if missing:
@@ -131,7 +135,7 @@ def _add_lines(file: Path) -> bool:
 
 
 def _remove_lines(file: Path) -> bool:
-    """Remove the patterns, and the file if it contains nothing else."""
+    """Remove the patterns from a file, or the file itself if it contains nothing else; return True if it changed."""
     text = _read(file)
     kept = [line for line in text.splitlines(keepends=True) if line.rstrip("\r\n") not in LINES]
     if len(kept) == len(text.splitlines()):
@@ -154,7 +158,7 @@ def _write(file: Path, text: str) -> None:
 
 
 def _output(*args: str) -> str:
-    """Return the output of git, empty if it fails."""
+    """Return the output of a git command, or an empty string if the command fails."""
     try:
         return os.fsdecode(git(Path(), *args)).strip()
     except GitError as error:

@@ -1,4 +1,4 @@
-"""Commands for the language: ``new``, ``schema``, ``flatten``, ``explain``."""
+"""Commands for working with the document language: ``new``, ``schema``, ``flatten``, ``explain``."""
 
 from __future__ import annotations
 
@@ -37,28 +37,30 @@ NEXT = {
 
 @subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
-@click.option("--name", help="Name of the document. Default: the name of its file.")
+@click.option("--name", help="Name of the document. Default: the file name without its suffix.")
 @click.option("--from", "source", type=FILE, metavar="SCENE",
-              help="The scene of a task or the twin of a recipe. Default: the only scene beside PATH.")  # fmt: skip
+              help="Scene for a task or a cousins recipe. Default: the only scene in the folder of PATH.")  # fmt: skip
 @click.option("--extends", type=FILE, metavar="DOCUMENT",
-              help="Create an overlay that states only the differences from this document.")  # fmt: skip
+              help="Create an overlay that contains only the differences from this document.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 def new_command(
     words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
 ) -> None:
     """Create a valid document with comments that explain its keys.
 
-    KIND is scene, task, asset, capture, cousins or policy; it may be omitted if PATH implies it, as desk.scene.yaml
-    does. If no folder above PATH is a project (with a simfoundry.yaml or a .git), a simfoundry.yaml is written to the
-    working folder, or to the closest folder that contains every file named. If the project has no editor schemas, they
-    are written to .simfoundry/schemas/.
+    KIND is scene, task, asset, capture, cousins or policy. It may be omitted if the name of the file implies it, as in
+    desk.scene.yaml.
+
+    If PATH is not inside a project (a folder with a simfoundry.yaml or .git), a simfoundry.yaml is written to the
+    working folder or to the closest folder that contains all specified files. If the project does not contain schemas
+    for editors, they are written to .simfoundry/schemas/.
     """
     from simfoundry.spec.editor.new import NewError, kind_and_path, make
 
     try:
         kind, path = kind_and_path(words)
         if path.exists() and not force:
-            raise CannotError(f"{path} exists; --force replaces it")
+            raise CannotError(f"{path} already exists; use --force to replace it")
         new = make(kind, path, name, source, extends)
     except NewError as error:
         raise CannotError(str(error)) from None
@@ -81,7 +83,7 @@ def new_command(
 
 
 def _shown(folder: str) -> str:
-    """Return a path relative to the working folder if it lies below it."""
+    """Return a path relative to the working folder if it is inside that folder."""
     path, here = Path(folder), Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else folder
 
@@ -91,13 +93,15 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
 @subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
-@click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas into this folder.")
-@click.option("--standard", is_flag=True, help="Use only keywords of JSON Schema, for strict validators such as ajv.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas to this folder.")
+@click.option(
+    "--standard", is_flag=True, help="Use only standard JSON Schema keywords, for strict validators such as ajv."
+)
 def schema_command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
-    """Print the JSON Schema of a kind of document, or write all of them with -o.
+    """Print the JSON Schema for one kind of document, or write all schemas to a folder with -o.
 
-    The schemas include editor extensions of JSON Schema: snippets, Markdown and messages. For validators that reject
-    unknown keywords, use --standard.
+    The schemas contain editor-specific extensions: snippets, Markdown descriptions and messages. Use --standard for
+    validators that reject unknown keywords.
     """
     from simfoundry.spec.editor.schema import schemas
 
@@ -111,7 +115,7 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
             click.echo(str(out / name))
         return
     if kind is None:
-        raise click.UsageError(f"name a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
+        raise click.UsageError(f"specify a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
     print_document(texts[f"{kind}.schema.json"])
 
 
@@ -120,10 +124,10 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
 def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
-    """Write a document in full, with everything that it extends merged and every default written out.
+    """Write a complete document that includes everything it extends and all default values.
 
-    Equivalent documents give the same text, and therefore the same hash. Paths of files become relative to the place
-    where the text is written.
+    Equivalent documents produce the same text and therefore the same hash. File paths are made relative to the location
+    of the output.
     """
     from simfoundry.spec.change.flatten import digest, flatten
     from simfoundry.spec.diagnostics import SpecError
@@ -150,9 +154,9 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
 @subcommand()
 @click.argument("code", required=False)
 def explain_command(code: str | None, as_json: bool) -> None:
-    """Explain a diagnostic code: its meaning, its fix, and examples of wrong and right input.
+    """Explain a diagnostic code: its meaning, how to fix it, and examples of incorrect and correct input.
 
-    CODE is written as in a finding, SF201, or without the prefix, 201. Without CODE, all codes are listed.
+    CODE may be specified with or without the prefix, as SF201 or 201. Without CODE, all codes are listed.
     """
     from simfoundry.spec.check.pages import code_of, grouped, page, titles
     from simfoundry.spec.diagnostics import nearest
@@ -183,7 +187,7 @@ def _code_list(groups: dict[str, dict[str, str]]) -> str:
 
 
 def _show_page(page: Page) -> None:
-    """Print the page to a terminal with a readable line length."""
+    """Print a page to the terminal with a readable line length."""
     from rich.console import Console
     from rich.markdown import Markdown
 

@@ -1,4 +1,4 @@
-"""Entry point of the command line. Each command is imported when it is called, which keeps startup fast."""
+"""Entry point of the command line interface. To keep startup fast, a command is imported only when it is called."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import click
 
 from simfoundry import __version__
 
-# Pydantic's search for plugins loads a slow module, a tenth of the run time of `check`.
+# Pydantic's plugin search imports a slow module, which would take a tenth of the run time of `check`.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-gc.set_threshold(100_000)  # tens of thousands of long-lived objects: the cycle collector would find nothing
+gc.set_threshold(100_000)  # there are tens of thousands of long-lived objects, so collecting more often is useless
 
 COMMANDS = {
     "capture": "Turn a capture folder into a scene.",
@@ -22,7 +22,7 @@ COMMANDS = {
     "compile": "Compile a scene for simulators.",
     "cousins": "Make variants of a scene or task that preserve its affordances.",
     "correlate": "Compare simulated success rates with real ones.",
-    "demo": "Reconstruct, compile and run a scene from the project's picture or yours.",
+    "demo": "Reconstruct, compile and run a scene from an included image or your own.",
     "diff": "Show the changes between two documents or revisions.",
     "doctor": "Show installed and missing components, and how to install them.",
     "eval": "Evaluate policies on tasks.",
@@ -30,19 +30,19 @@ COMMANDS = {
     "export": "Write a task as BDDL or in the format of the paper's release.",
     "flatten": "Write a document in full, with everything it extends and every default.",
     "fmt": "Rewrite documents in their canonical form, keeping comments.",
-    "git": "Set up git to diff and merge documents by meaning.",
-    "import": "Turn URDF, MJCF, USD, BDDL or a scene of the paper's release into documents.",
-    "judge": "Judge predicates in a scene: value, margin and explanation.",
+    "git": "Set up semantic diffs and merges of documents in git.",
+    "import": "Convert URDF, MJCF, USD, BDDL or files from the paper's release to documents.",
+    "judge": "Evaluate predicates in a scene, with margins and explanations.",
     "log": "Show what each commit changed in a document.",
-    "merge": "Merge two edits of a document by meaning; resolve conflicts.",
-    "migrate": "Bring documents of older versions up to date.",
+    "merge": "Merge two edited versions of a document semantically, or resolve conflicts.",
+    "migrate": "Update documents that were written for older versions.",
     "new": "Create a document of any kind, with comments that explain its keys.",
     "propose": "Propose tasks for a scene, each verified to be feasible.",
-    "render": "Render a picture from a camera of a scene.",
-    "schema": "Print the JSON Schemas of the documents.",
-    "settle": "Simulate a scene until it is at rest, with a report.",
+    "render": "Render an image from a camera in a scene.",
+    "schema": "Print the JSON Schemas for documents.",
+    "settle": "Simulate a scene until it is at rest, and report how objects moved.",
     "show": "Show a scene as a tree with sizes and masses.",
-    "synthesize": "Render a scene to a capture with sensor noise.",
+    "synthesize": "Render a scene as a synthetic capture with sensor noise.",
     "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
@@ -57,11 +57,11 @@ MODULES = {
     "scenes": ("judge", "render", "settle", "show", "synthesize"),
     "verify": ("doctor", "verify"),
 }
-"""Commands by module; any other command has a module with its own name."""
+"""Commands by module. Each command that is not listed is defined in a module with the same name."""
 
 
 class _Lazy(click.Group):
-    """Command group that imports ``<name>_command`` from its module of ``simfoundry.cli`` on demand."""
+    """A command group that imports ``<name>_command`` from the right module in ``simfoundry.cli`` on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -83,21 +83,21 @@ class _Lazy(click.Group):
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):
             from simfoundry.spec.diagnostics import nearest
 
-            ctx.fail(f"there is no command `{args[0]}`; {nearest(args[0], COMMANDS)}")
+            ctx.fail(f"unknown command `{args[0]}`; {nearest(args[0], COMMANDS)}")
         return super().resolve_command(ctx, args)
 
 
 @click.command(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="simfoundry")
 def app() -> None:
-    """From a captured tabletop to simulator worlds: one typed scene spec, many simulators.
+    """Turn a captured tabletop into simulator worlds: one typed scene spec, many simulators.
 
-    Exit codes: 0 success, 1 findings, 2 the command could not run.
+    Exit codes: 0 on success, 1 if there are findings, 2 if the command could not run.
     """
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line interface."""
     from simfoundry.cli.output import allow_any_text
 
     allow_any_text()

@@ -19,41 +19,41 @@ NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
 
 scene_argument = click.argument("scene", type=FILE)
 camera_option = click.option(
-    "-c", "--camera", help="Use this camera of the scene. Default: its viewpoint, or its first."
+    "-c", "--camera", help="Name of the camera to use. Default: the scene's viewpoint, or else its first camera."
 )
 
 
 def shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """Parse ``I/N``, with I from 1 to N."""
+    """Parse an option of the form ``I/N``, with I from 1 to N."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
     if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, such as 2/4")
+        raise click.BadParameter(f"expected I/N with I from 1 to N, such as 2/4, but got `{value}`")
     return int(match[1]), int(match[2])
 
 
 def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    """Parse ``NAME=VALUE`` pairs."""
+    """Parse options of the form ``NAME=VALUE``."""
     found = {name: value for name, _, value in (text.partition("=") for text in values)}
     for name, value in found.items():
         if not name or not value:
-            raise click.BadParameter(f"`{name}` is not {option.metavar}")
+            raise click.BadParameter(f"expected {option.metavar}, but got `{name}`")
     return found
 
 
 def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
-    """Yield the files among ``paths``, and the files with a suffix below its folders."""
+    """Yield the files in ``paths``, and for each folder in ``paths``, the files below it that have a suffix."""
     for path in paths:
         inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
         if not inside:
-            raise CannotError(f"{path} contains no {noun}; their names end in {suffix}")
+            raise CannotError(f"{path} does not contain any {noun} (files whose names end in {suffix})")
         yield from inside
 
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Print how to resume a run that the user interrupts."""
+    """If the user interrupts a run, print how to resume it."""
     try:
         yield
     except KeyboardInterrupt:
@@ -62,12 +62,12 @@ def resumable(out: Path) -> Iterator[None]:
 
 
 class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic only from click 8.4 on; 8.1 is supported
-    """Name of a simulator that can run scenes; it is resolved on use, so that ``--help`` loads none."""
+    """The name of a simulator that can run scenes; simulators are looked up on use, so ``--help`` does not load any."""
 
     name = "simulator"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the name if the target has a world."""
+        """Return the name if the target can run scenes."""
         from simfoundry.worlds import UnknownWorldError, find_world
 
         try:

@@ -1,4 +1,4 @@
-"""Output of commands: findings, JSON, progress, and exit codes for errors."""
+"""Command output: findings, JSON, progress, and exit codes for errors."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ force_option = click.option(
 
 
 class CannotError(click.ClickException):
-    """A condition that keeps a command from running, stated in one sentence."""
+    """Raised if a command cannot run; the message is one sentence that states the reason."""
 
     exit_code = CANNOT
 
 
 def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
-    """Turn findings and errors into output and an exit code; bad input never shows a traceback."""
+    """Convert findings and errors to output and an exit code, so that invalid input never causes a traceback."""
 
     @wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -60,7 +60,7 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
                 f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists everything)"
             ) from None
         except MemoryError:
-            raise CannotError("there is not enough memory for this; use smaller meshes or pictures") from None
+            raise CannotError("the command ran out of memory; use smaller meshes or images") from None
         except OSError as error:
             if error.errno == errno.EPIPE:  # the reader closed the pipe; click handles this
                 raise
@@ -72,7 +72,13 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
 def subcommand(
     name: str | None = None, *, as_json: bool = True, force: bool = False
 ) -> Callable[[Callable[..., int | None]], click.Command]:
-    """Turn a function into a reporting command, with ``--force`` and ``--json`` after its own options."""
+    """Convert a function to a command that reports errors.
+
+    Args:
+        name: Name of the command; defaults to the name of the function.
+        as_json: Whether to add the option ``--json`` after the command's own options.
+        force: Whether to add the option ``--force`` after the command's own options.
+    """
 
     def decorate(function: Callable[..., int | None]) -> click.Command:
         wrapped: Any = reporting(function)
@@ -80,19 +86,19 @@ def subcommand(
         wrapped.__click_params__ = []
         for option in [json_option] * as_json + [force_option] * force:
             wrapped = option(wrapped)
-        wrapped.__click_params__ += own  # click reverses the list: the first entry comes last in the help
+        wrapped.__click_params__ += own  # click reverses the list, so the first entry is shown last in the help
         return click.command(name)(wrapped)
 
     return decorate
 
 
 def print_json(data: Any) -> None:
-    """Print JSON to standard output."""
+    """Print data as JSON to standard output."""
     print_json_text(json.dumps(data, indent=2, ensure_ascii=False))
 
 
 def print_json_text(text: str) -> None:
-    """Print JSON text, with escapes if standard output is not encoded as Unicode."""
+    """Print JSON text, escaping non-ASCII characters if standard output does not use a Unicode encoding."""
     escaped = text if _is_unicode(sys.stdout) else re.sub(r"[^\x00-\x7f]", lambda c: json.dumps(c[0])[1:-1], text)
     click.echo(escaped)
 
@@ -100,20 +106,21 @@ def print_json_text(text: str) -> None:
 def print_document(text: str) -> None:
     """Print a document verbatim.
 
-    Raises :class:`CannotError` if the encoding of standard output lacks one of its characters.
+    Raises:
+        CannotError: If a character cannot be represented in the encoding of standard output.
     """
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError as error:
         raise CannotError(
-            f"the output is encoded as {sys.stdout.encoding}, which has no {text[error.start]!a}; write to a file "
+            f"the output encoding {sys.stdout.encoding} cannot represent {text[error.start]!a}; write to a file "
             "with -o, or set PYTHONIOENCODING=utf-8"
         ) from None
     click.echo(text, nl=False)
 
 
 def allow_any_text() -> None:
-    """Replace characters that the terminal cannot encode with question marks instead of failing."""
+    """Print question marks for characters that the terminal cannot encode, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if not _is_unicode(stream) and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -134,12 +141,18 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
 
 
 def in_color(stream: TextIO) -> bool:
-    """Return whether to color a stream: a terminal without a request for plain text (https://no-color.org)."""
+    """Return True if a stream is a terminal and the user did not request plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, SceneSpec, Scene]:
-    """Load and lower a scene with a progress bar; without ``fetch`` no robot model is downloaded."""
+    """Load and lower a scene, showing a progress bar.
+
+    Args:
+        path: The scene document.
+        quiet: Whether to hide the progress bar.
+        fetch: Whether to download robot models that are not available locally.
+    """
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
@@ -153,7 +166,7 @@ def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, Sc
 
 
 def protect_output(out: Path | None, inputs: Iterable[Path] = (), force: bool = False) -> None:
-    """Raise :class:`OutputError` if writing a file, if there is one to write, would destroy user data."""
+    """Raise :class:`OutputError` if writing to ``out`` would destroy user data; do nothing if ``out`` is None."""
     if out is not None:
         from simfoundry.runtime.files import ensure_replaceable
 
@@ -168,7 +181,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_in_place(path: Path, text: str) -> None:
-    """Write to the file itself instead of replacing a link to it, and preserve its permissions."""
+    """Write to a file while preserving its permissions; if it is a symbolic link, write to the link's target."""
     target = path.resolve()
     mode = target.stat().st_mode if target.exists() else None
     write_text(target, text)
@@ -177,12 +190,12 @@ def write_in_place(path: Path, text: str) -> None:
 
 
 def plural(count: int, noun: str) -> str:
-    """Return a count with its noun: ``no conflicts``, ``1 conflict``."""
+    """Format a count with its noun, such as ``no conflicts`` or ``1 conflict``."""
     return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"
 
 
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
-    """Return the camera called ``name``, by default the scene's viewpoint or its first camera."""
+    """Return the camera called ``name``; the default is the scene's viewpoint, or else its first camera."""
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:
         raise CannotError(f"{scene.name} has no camera; add one under `cameras`")
@@ -194,11 +207,11 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 
 
 LINE_S = 10.0
-"""Longest time without output in a log [s]; people start to suspect a hang after about that long."""
+"""Maximum time without output in a log [s]; after about this long, people start to suspect a hang."""
 
 
 def _line_now_and_then() -> Callable[[str, float], None]:
-    """Print the current step if nothing has been printed for :data:`LINE_S`."""
+    """Return a function that prints the current step if nothing has been printed for :data:`LINE_S`."""
     last = time.monotonic()
 
     def say(stage: str, _share: float) -> None:
@@ -212,9 +225,10 @@ def _line_now_and_then() -> Callable[[str, float], None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """Show a progress bar for long steps on standard error, or occasional lines if it is not a terminal.
+    """Show the progress of long steps on standard error: a bar on a terminal, or else occasional lines.
 
-    ``SIMFOUNDRY_PROGRESS=never`` suppresses the lines, for logs that are compared.
+    The environment variable ``SIMFOUNDRY_PROGRESS=never`` suppresses the lines, which is useful for logs that are
+    compared with each other.
     """
     if quiet or (not sys.stderr.isatty() and os.environ.get("SIMFOUNDRY_PROGRESS") == "never"):
         yield lambda stage, share: None

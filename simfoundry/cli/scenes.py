@@ -1,4 +1,4 @@
-"""Commands that lower one scene: ``show``, ``judge``, ``render``, ``settle``, ``synthesize``."""
+"""Commands that operate on a single scene: ``show``, ``judge``, ``render``, ``settle``, ``synthesize``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from simfoundry.errors import SimfoundryError
 @subcommand()
 @scene_argument
 def show_command(scene: Path, as_json: bool) -> None:
-    """Show a scene as a tree: sizes, masses, joints, and support relations."""
+    """Show a scene as a tree of support relations, with sizes, masses and joints."""
     from simfoundry.scene.summary import summary, tree
 
     _, spec, lowered = lower_scene(scene, as_json, fetch=False)
@@ -41,9 +41,10 @@ def show_command(scene: Path, as_json: bool) -> None:
 @scene_argument
 @click.argument("conditions", nargs=-1)
 def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
-    """Judge predicates in a scene, such as 'Inside(cup, bowl)': value, margin and explanation.
+    """Evaluate predicates in a scene, such as 'Inside(cup, bowl)', and print their values, margins and explanations.
 
-    Without predicates, the scene's own relations are judged. The exit code is 1 if one does not hold.
+    If no predicates are specified, the relations defined in the scene are evaluated. The exit code is 1 if any
+    predicate is false.
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState
@@ -68,13 +69,13 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
 @subcommand(force=True)
 @scene_argument
 @camera_option
-@click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: SCENE-CAMERA.png.")
+@click.option("-o", "--out", type=NEW_FILE, help="Output file. Default: SCENE-CAMERA.png.")
 @click.option(
     "--engine", type=click.Choice(["auto", "egl", "osmesa", "raycast"]), default="auto", show_default=True,
-    help="Renderer: MuJoCo with EGL or OSMesa, or the ray caster, which needs no driver.",
+    help="Renderer: MuJoCo with EGL or OSMesa, or a ray caster that does not need a GL driver.",
 )  # fmt: skip
 def render_command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
-    """Render a PNG from a camera of a scene, without a display."""
+    """Render a PNG image from a camera in a scene. No display is required."""
     from simfoundry.render.montage import save_png
     from simfoundry.worlds.render import choose_engine, render
 
@@ -97,9 +98,9 @@ def render_command(scene: Path, camera: str | None, out: Path | None, engine: st
 def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
     """Simulate a scene until it is at rest, and report how its objects moved.
 
-    Without -o nothing is written. The output is in canonical form, without the comments of the input. The exit code is
-    1 if an object fails: it moved, tilted, topples when nudged, penetrates another, lost its support, fell, or never
-    came to rest.
+    With -o, the settled scene is written in canonical form, without the comments in the input. The exit code is 1 if
+    an object moved, tilted, topples when nudged, penetrates another object, lost its support, fell, or never came to
+    rest.
     """
     from simfoundry.scene.state import with_state
     from simfoundry.spec.yaml.write import to_yaml
@@ -108,7 +109,7 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
         raise CannotError(
-            "write the settled scene beside the original, because its mesh paths are relative to that folder"
+            "write the settled scene to the folder of the original, because mesh paths are relative to that folder"
         )
     loaded, spec, lowered = lower_scene(scene, as_json)
     protect_output(out, [scene, *loaded.files()], force)
@@ -128,13 +129,13 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
 
 
 def _beside(scene: Path) -> Path:
-    """Return a name for the settled scene: ``desk_settled.scene.yaml``."""
+    """Return a file name for the settled scene, such as ``desk_settled.scene.yaml``."""
     stem, _, rest = scene.name.partition(".")
     return scene.with_name(f"{stem}_settled.{rest}")
 
 
 def settle_table(objects: list[dict[str, object]]) -> str:
-    """Return a table of the effect of settling on each object."""
+    """Return a table that shows how settling affected each object."""
     rows = [f"{'object':<22}{'penetration':>16}{'drift':>10}{'tilt':>9}  supports"]
     for o in objects:
         depth = f"{_mm(o['penetration_before'])} -> {_mm(o['penetration_after'])} mm"
@@ -158,13 +159,13 @@ def _float(value: object) -> float:
 @subcommand(force=True)
 @scene_argument
 @camera_option
-@click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture into this folder.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensor noise.")
+@click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture to this folder.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed for the sensor noise.")
 @click.option("--masks", is_flag=True, help="Also write instance masks.")
 def synthesize_command(
     scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool
 ) -> None:
-    """Render a scene to a capture: color and depth with the noise and the holes of a real sensor."""
+    """Render a scene as a synthetic capture: color and depth images with the noise and holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
 
     loaded, spec, lowered = lower_scene(scene, as_json)

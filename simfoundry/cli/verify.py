@@ -1,4 +1,4 @@
-"""Commands that examine simulators: ``verify``, ``doctor``."""
+"""Commands that check simulators: ``verify``, ``doctor``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class VerifyResults(NamedTuple):
-    """Values read back, measured behaviors, and rest poses."""
+    """The results of a verification: values read back, measured behaviors, and rest poses."""
 
     readings: Sequence[ReadbackResult]
     results: Sequence[BehaviorResult]
@@ -50,24 +50,33 @@ class VerifyResults(NamedTuple):
 @click.argument("specs", nargs=-1, type=ANY)
 @click.option(
     "--engine", "engines", multiple=True, metavar="NAME",
-    help="Verify in this engine; may be repeated. Default: all engines found.",
+    help="Engine in which to verify; may be repeated. Default: all engines that are found.",
 )  # fmt: skip
 @click.option("--behaviors/--no-behaviors", default=True, show_default=True, help="Also measure behaviors.")
 @click.option(
     "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Verify this build instead of a new one.",
+    help="Verify this existing build instead of compiling the scene.",
 )  # fmt: skip
 @click.option(
-    "--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="Also look for engines in this interpreter."
+    "--python",
+    "pythons",
+    multiple=True,
+    metavar="[ENGINE=]PATH",
+    help="Also look for engines in this Python interpreter.",
 )
 @click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
 @click.option(
     "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
-    help="Time limit of an engine for one build [s].",
+    help="Time limit for each engine and build [s].",
 )  # fmt: skip
-@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures to this file.")
+@click.option("--html", type=NEW_FILE, help="Write an HTML report with tables and images to this file.")
 @click.option(
-    "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Number of parallel engines."
+    "-j",
+    "--jobs",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Number of engines to run in parallel.",
 )
 def verify_command(
     specs: tuple[Path, ...], engines: tuple[str, ...], behaviors: bool, build: Path | None, pythons: tuple[str, ...],
@@ -75,21 +84,25 @@ def verify_command(
 ) -> int:  # fmt: skip
     """Load builds of scenes in real simulators and compare the loaded values with the scene.
 
-    SPECS are scenes, or folders of them. Each is compiled anew; --build verifies an existing build of one scene
-    instead. Behaviors are measured on test mechanisms with a known answer, such as a pendulum, and on each scene
-    simulated for two seconds; without SPECS only the test mechanisms are measured. Engines are searched in this Python,
-    in the interpreters given by --python, and in those of SIMFOUNDRY_ENGINES (separated by commas). Each runs in its
-    own process, so that a crash or a hang is reported and the others continue. The exit code is 1 if a value differs
-    from the scene without an entry in the loss report, if a behavior is off without a known reason, or if an engine
-    fails.
+    SPECS are scenes, or folders that contain scenes. By default, each scene is compiled for the verification; with
+    --build, an existing build of one scene is verified instead. Behaviors are measured on test mechanisms with a known
+    solution, such as a pendulum, and by simulating each scene for two seconds. Without SPECS, only the test mechanisms
+    are measured.
+
+    Engines are looked up in the current Python interpreter, in the interpreters specified with --python, and in those
+    listed in the environment variable SIMFOUNDRY_ENGINES (separated by commas). Each engine runs in a separate process:
+    if one crashes or hangs, this is reported and the others continue.
+
+    The exit code is 1 if a value differs from the scene without an entry in the loss report, if a behavior deviates
+    without a known reason, or if an engine fails.
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 
     paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
-        raise CannotError("--build needs exactly one scene, from which the build was compiled")
+        raise CannotError("--build requires exactly one scene: the scene from which the build was compiled")
     if not paths and not behaviors:
-        raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviors")
+        raise CannotError("there is nothing to verify: specify a scene, or omit --no-behaviors")
     protect_output(html, paths, force)
     required = [find_engine(name) for name in require]
     chosen = [find_engine(name) for name in engines] or all_engines()
@@ -109,14 +122,14 @@ def verify_command(
     else:
         _print(verified, found, wanted)
     for name in missing:
-        click.echo(f"{name} is required but was not found, or has no build to read", err=True)
+        click.echo(f"{name} is required, but it was not found or there is no build for it", err=True)
     return DONE if verified.ok and not missing else FINDINGS
 
 
 def _subjects(
     stack: ExitStack, paths: Sequence[Path], build: Path | None, found: Found, progress: Callable[[str, float], None]
 ) -> list[SceneBuilds]:
-    """Return every scene, lowered and compiled for the available engines."""
+    """Lower all scenes and compile them for the available engines."""
     import tempfile
 
     from simfoundry.assets.cache import Cache
@@ -136,7 +149,7 @@ def _subjects(
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
-                raise CannotError(f"{build} contains none of {targets}; pass the folder that `compile -o` wrote")
+                raise CannotError(f"{build} does not contain any of {targets}; pass the folder written by `compile -o`")
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
@@ -194,7 +207,7 @@ def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngi
 
 
 def _finite(data: Any) -> Any:
-    """Replace numbers that JSON cannot express by null."""
+    """Replace numbers that JSON cannot represent (NaN and infinity) with null."""
     if isinstance(data, dict):
         return {key: _finite(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -228,9 +241,10 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
 
 @subcommand()
 def doctor_command(as_json: bool) -> int:
-    """Show installed and missing components, and how to install them. The exit code is 1 if a requirement is missing.
+    """Show installed and missing components, and how to install them.
 
-    Covers packages, extras, known robots, renderers and foundation models. Nothing is downloaded.
+    The list includes packages, extras, known robots, renderers and foundation models. Nothing is downloaded. The exit
+    code is 1 if a required component is missing.
     """
     from simfoundry.worlds.doctor import examine
 

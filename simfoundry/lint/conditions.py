@@ -38,7 +38,7 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
     """Find goals that already hold initially, including the goals of steps that run first or on their own."""
     task, judge = subject.task, StartJudge(subject.scene)
     if _is_true(subject, task.goal, judge):
-        yield _goal_finding(subject, ("goal",), "the goal is true at the start", judge.explanation(task.goal))
+        yield _goal_finding(subject, ("goal",), "the goal is already true at the start", judge.explanation(task.goal))
     scene = subject.loaded.used(task.scene)
     for k, (name, subtask) in enumerate(task.subtasks.items()):
         if subtask.start is None and k > 0:
@@ -46,7 +46,7 @@ def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:
         assert scene is not None
         own = judge if subtask.start is None else StartJudge(drafted(scene, [task.start, subtask.start]))
         if _is_true(subject, subtask.goal, own):
-            message = f"the step `{name}` is done at its start"
+            message = f"the step `{name}` is already complete when it starts"
             yield _goal_finding(subject, ("subtasks", name, "goal"), message, own.explanation(subtask.goal))
 
 
@@ -58,7 +58,7 @@ def _is_true(subject: Subject, goal: Any, judge: StartJudge) -> bool:
 
 
 def _goal_finding(subject: Subject, path: Path_, message: str, why: str) -> Diagnostic:
-    hint = "require a condition that the robot must bring about, or change the start"
+    hint = "require a condition that the robot must bring about, or change the initial state"
     return warning(subject.loaded, "SF405", path, f"{message}: {why}" if why else message, hint)
 
 

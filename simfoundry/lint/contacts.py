@@ -71,7 +71,7 @@ def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagno
     if 0 < raised <= STEEPEST * depth:
         hint = f"raise `{moved.name}` by {length(raised)}, to z = {number(float(moved.X_WO.p[2]) + raised)}"
     if len(where(loaded, moved.name)) == 2:
-        hint = f"it has no `place` and no `pose`, so it is at the origin: write `place: {{on: {other.name}}}`"
+        hint = f"it has neither `place` nor `pose`, so it is at the origin; write `place: {{on: {other.name}}}`"
     hint += f"; if the overlap is intended, write `allow: {{SF410: {{{moved.name}: why}}}}`"
     return warning(loaded, "SF410", where(loaded, moved.name), message, hint, (other.name,))
 
@@ -161,7 +161,7 @@ def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
         return warning(subject.loaded, "SF411", path, message, hint)
     raised, name = max(below)
     message = f"nothing supports `{item.name}`: it falls {length(-raised)} onto `{name}`"
-    hint = f"at z = {number(float(item.X_WO.p[2]) + raised)} it stands there; or write `place: {{on: {name}, ...}}`"
+    hint = f"it would rest there at z = {number(float(item.X_WO.p[2]) + raised)}; or write `place: {{on: {name}, ...}}`"
     return warning(subject.loaded, "SF411", path, message, hint, (name,))
 
 

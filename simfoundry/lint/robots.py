@@ -42,10 +42,12 @@ def too_wide(subject: Subject) -> Iterator[Diagnostic]:
         if width <= widest + SLACK:
             continue
         if math.isfinite(width):
-            message = f"`{name}` is {length(width)} wide at its narrowest, and `{robot}` opens {length(widest)}"
+            message = f"`{name}` is {length(width)} wide at its narrowest, but `{robot}` opens only {length(widest)}"
         else:
-            message = f"`{name}` has no grasp from above for two fingers; `{robot}` opens {length(widest)}"
-        hint = "make it narrower, give it a handle or a rim, or turn it; `opening` states the opening of a robot"
+            message = f"`{name}` cannot be grasped from above with two fingers; `{robot}` opens {length(widest)}"
+        hint = (
+            "make it narrower, give it a handle or a rim, or rotate it; `opening` sets how wide a robot's gripper opens"
+        )
         yield warning(subject.loaded, "SF407", path, message, hint, (name, robot))
 
 
@@ -121,7 +123,7 @@ def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterato
 
 def _reach_finding(subject: Subject, path: Path_, what: str, name: str, miss: Miss) -> Diagnostic:
     message = f"{what} is {miss.distance:.2f} m from `{miss.hand.name}`, which reaches {number(miss.reach)} m"
-    hint = f"bring the two {length(miss.lacking)} closer; `reach` says how far a robot can grasp"
+    hint = f"bring the two {length(miss.lacking)} closer together; `reach` sets how far a robot can grasp"
     return warning(subject.loaded, "SF408", path, message, hint, (name.partition(".")[0], miss.hand.name))
 
 

@@ -47,8 +47,8 @@ def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Pat
         found += 1
         angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
         message = f"`{name}` is outside the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
-        seen = f"which sees {half_angle(cameras[nearest]):.0f} deg to the corners of its picture"
-        hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move one of the two"
+        seen = f"whose image extends {half_angle(cameras[nearest]):.0f} deg to the corners"
+        hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move the object or the camera"
         yield warning(subject.loaded, "SF409", path_of(name), message, hint)
 
 
@@ -78,7 +78,7 @@ OUT_OF_VIEW = Lint("SF409", ("scene/1",), unseen)
 START_OUT_OF_VIEW = Lint("SF409", ("task/1",), unseen_at_start)
 
 
-HINT = "add the file, or remove its name from the mesh; the surface is rendered without a texture"
+HINT = "add the file, or remove the reference to it from the mesh; the surface is rendered without a texture"
 
 
 def lost_textures(subject: Subject) -> Iterator[Diagnostic]:

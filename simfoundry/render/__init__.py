@@ -1,1 +1,1 @@
-"""Rendering of scenes without a display."""
+"""Headless rendering of scenes."""

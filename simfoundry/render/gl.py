@@ -1,4 +1,4 @@
-"""Choice of the GL driver, made once by a trial in another process so that this one can still use either."""
+"""Choose the GL driver once, by probing it in a separate process so that this process can still use either driver."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ print("drawn")
 
 
 class Engine(StrEnum):
-    """The renderer: MuJoCo with one of two GL drivers, our own ray caster, or the first of the three that works."""
+    """A renderer: MuJoCo with one of two GL drivers, our own ray caster, or the first of these that works."""
 
     AUTO = "auto"
     EGL = "egl"
@@ -29,22 +29,25 @@ class Engine(StrEnum):
 
 
 class RenderError(SimfoundryError):
-    """An image that cannot be rendered as requested; the message states the reason and the remedy."""
+    """An error for an image that cannot be rendered as requested; the message states the reason and the fix."""
 
 
 def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
-    """Return the engine to use for the requested ``engine``. Raises :class:`RenderError` if it does not work here."""
+    """Return the engine to use; ``auto`` selects the first that works.
+
+    Raises :class:`RenderError` if the requested engine does not work on this machine.
+    """
     try:
         wanted = Engine(engine)
     except ValueError:
-        raise RenderError(f"no render engine {engine!r}; there are: {', '.join(Engine)}") from None
+        raise RenderError(f"unknown render engine {engine!r}; available engines: {', '.join(Engine)}") from None
     if wanted is Engine.AUTO:
         drivers = [Engine.EGL, Engine.OSMESA]
         preferred = os.environ.get("MUJOCO_GL", "").lower()
         drivers.sort(key=lambda d: d.value != preferred)
         return next((d for d in drivers if _obstacle(d) is None), Engine.RAYCAST)
     if wanted is not Engine.RAYCAST and (reason := _obstacle(wanted)) is not None:
-        raise RenderError(f"{wanted} does not work here ({reason}); use 'raycast', which needs no GL driver")
+        raise RenderError(f"{wanted} is not available ({reason}); use 'raycast', which requires no GL driver")
     return wanted
 
 
@@ -54,16 +57,16 @@ def working_drivers() -> list[str]:
 
 
 def _obstacle(engine: Engine) -> str | None:
-    """Return the reason why MuJoCo cannot use this driver in this process; None if it can."""
+    """Return the reason why MuJoCo cannot use this driver in this process, or None if it can."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
-    if platform not in ("", engine.value):  # PyOpenGL binds to one driver for the life of a process
-        return f"this process has already chosen the GL driver {platform!r}"
+    if platform not in ("", engine.value):  # PyOpenGL uses a single driver for the lifetime of a process
+        return f"this process already uses the GL driver {platform!r}"
     return _probe(engine)
 
 
 @cache
 def _probe(engine: Engine) -> str | None:
-    """Try the driver in a separate process, because a failed attempt would rule out the other driver in this one."""
+    """Try the driver in a separate process, because a failed attempt would prevent the use of the other driver here."""
     own = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     command = [sys.executable, "-c", _PROBE.format(engine=engine.value)]
     try:

@@ -1,4 +1,4 @@
-"""Montages of images side by side and as overlays, with captions, for reports and documentation."""
+"""Captioned montages and overlays of images for reports and documentation."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ INK = (38, 42, 48)
 
 
 def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None, columns: int | None = None) -> Image:
-    """Arrange panels ``(caption, image)`` in rows of ``columns`` (by default in one row), each below its caption.
+    """Arrange panels ``(caption, image)`` in rows of ``columns`` (by default, in a single row), with captions on top.
 
-    All images are scaled to one height [px], by default the smallest, and keep their aspect ratios.
+    All images are scaled to the same height [px], by default that of the smallest image, preserving aspect ratios.
     """
     if not panels:
-        raise ValueError("a montage needs at least one picture")
+        raise ValueError("a montage requires at least one image")
     row_height = min(image.shape[0] for _, image in panels) if height is None else height
     per_row = len(panels) if columns is None else max(1, columns)
     cells = [_captioned(caption, _scaled(image, row_height)) for caption, image in panels]
@@ -39,12 +39,17 @@ def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None,
 
 
 def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Image:
-    """Tint every object of ``objects`` (h, w; 0 is none) in ``color`` by ``alpha``, and outline it in its own color.
+    """Tint and outline each object in an image with its own color.
 
     The color of an object depends only on its label, so it is the same in every image.
+
+    Args:
+        color: The image to draw on.
+        objects: Object labels, shape (h, w); 0 is the background.
+        alpha: Opacity of the tint.
     """
     if objects.shape != color.shape[:2]:
-        raise ValueError(f"the labels have shape {objects.shape} and the picture {color.shape[:2]}; they must be equal")
+        raise ValueError(f"the labels have shape {objects.shape}, but the image has shape {color.shape[:2]}")
     labels, index = np.unique(objects, return_inverse=True)
     palette = np.array([label_color(int(k)) if k > 0 else (0, 0, 0) for k in labels], dtype=np.float64)
     tint = palette[index.reshape(objects.shape)]
@@ -73,12 +78,12 @@ def png_bytes(image: Image) -> bytes:
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write :func:`png_bytes` to ``path``; create its folder if necessary."""
+    """Save an image as a PNG file, creating the folder if necessary."""
     write_atomically(path, png_bytes(image))
 
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Mark the pixels of an object that have a horizontal or vertical neighbor with another label."""
+    """Return a mask of the object pixels with a horizontal or vertical neighbor that has a different label."""
     differs = np.zeros(objects.shape, dtype=np.bool_)
     down, across = objects[1:] != objects[:-1], objects[:, 1:] != objects[:, :-1]
     differs[1:] |= down
@@ -89,7 +94,7 @@ def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 
 def _captioned(caption: str, image: Image) -> Image:
-    """Return the image below a line of text, which is scaled down if it exceeds the width."""
+    """Return the image with a caption above it; the text is scaled down if it is wider than the image."""
     from PIL import Image as Pillow
     from PIL import ImageDraw, ImageFont
 
@@ -119,7 +124,7 @@ def _blank(height: int, width: int) -> Image:
 
 
 def _joined(images: Sequence[Image], gap: int, axis: int) -> Image:
-    """Join images along an axis with a gap between them; their other dimensions must be equal."""
+    """Concatenate images along an axis with a gap between them; all other dimensions must be equal."""
     parts: list[Image] = []
     for image in images:
         if parts and gap:

@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 Image = NDArray[np.uint8]
 
-VISUAL_GROUP = 2  # The geom group of visuals in the MJCF backend; no other group is drawn
+VISUAL_GROUP = 2  # Geom group of visuals in the MJCF backend; no other group is rendered
 
-# Quick images: shadow map resolution, and rendered pixels per image pixel, both along each side.
+# Settings of quick images: shadow map resolution and supersampling factor, both along each side.
 QUICK_SHADOW, FINE = 1024, 2
 
 NEAR, FAR = 0.01, 100.0  # Near and far clipping distances [m]
 
-BACKDROP_EMISSION = 1e3  # Emission of the backdrop, high enough that no light in the scene changes its color
+BACKDROP_EMISSION = 1e3  # Emission of the backdrop; high enough that lights in the scene do not change its color
 
 
 class MujocoRenderer:
-    """Offscreen renderer of one MuJoCo model; close it, or use it in a ``with`` statement.
+    """An offscreen renderer for a MuJoCo model; close it after use, or use it in a ``with`` statement.
 
-    ``width`` and ``height`` [px] are the maximum image size. A ``quick`` renderer draws small images in a third of the
-    time on a CPU, with simplified meshes (:mod:`simfoundry.render.offscreen`), smaller shadow maps, and four rendered
-    pixels per image pixel in place of the driver's multisampling.
+    ``width`` and ``height`` [px] are the maximum image size. A ``quick`` renderer takes a third of the time for small
+    images on a CPU; it uses simplified meshes (:func:`coarsened`), smaller shadow maps, and four rendered pixels per
+    image pixel instead of the driver's multisampling.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class MujocoRenderer:
 
         chosen = choose_engine(engine)
         if chosen is Engine.RAYCAST:
-            raise RenderError("MuJoCo finds no GL driver: install libegl1 and libgl1-mesa-dri, or libosmesa6")
+            raise RenderError("MuJoCo could not find a GL driver: install libegl1 and libgl1-mesa-dri, or libosmesa6")
         self.engine = chosen
         self._model = model
         self._size = (width, height)
@@ -68,15 +68,15 @@ class MujocoRenderer:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Maximum width and height of an image [px]."""
+        """The maximum width and height of an image [px]."""
         return self._size
 
     def holds(self, width: int, height: int) -> bool:
-        """Return true if an image of this size can be drawn."""
+        """Return True if an image of this size can be rendered."""
         return width <= self._size[0] and height <= self._size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
-        """Return the image of ``camera``: sRGB, uint8, shape (h, w, 3)."""
+        """Render the image seen by ``camera``: sRGB, uint8, shape (h, w, 3)."""
         picture = self._draw(data, camera, self._fine)
         if self._fine == 1:
             return picture
@@ -85,7 +85,7 @@ class MujocoRenderer:
         return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
-        """Return the geom at each pixel, shape (h, w): 0 for none, otherwise 1 + the geom id."""
+        """Return the geom at each pixel, shape (h, w): 1 + the geom id, or 0 if there is no geom."""
         import mujoco
 
         flags = self._scene.flags
@@ -102,13 +102,13 @@ class MujocoRenderer:
         return np.asarray(geom[np.where(drawn < len(geom), drawn, 0)], dtype=np.int32)
 
     def _draw(self, data: mujoco.MjData, camera: Camera, fine: int = 1) -> Image:
-        """Render with ``fine`` pixels per image pixel along each side."""
+        """Render with ``fine`` pixels per image pixel along each axis."""
         import mujoco
 
         if camera.width > self._size[0] or camera.height > self._size[1]:
             raise RenderError(
-                f"camera {camera.name!r} is {camera.width}x{camera.height}, but the renderer was created for "
-                f"{self._size[0]}x{self._size[1]}; create it with the size of the largest camera"
+                f"the image of camera {camera.name!r} is {camera.width}x{camera.height}, but the renderer was created "
+                f"for {self._size[0]}x{self._size[1]}; create it with the size of the largest camera"
             )
         self._gl.make_current()
         free = mujoco.MjvCamera()
@@ -128,7 +128,7 @@ class MujocoRenderer:
         return np.ascontiguousarray(picture[::-1])  # GL counts rows from the bottom
 
     def close(self) -> None:
-        """Free the driver's resources; the renderer cannot be used afterwards."""
+        """Release the driver's resources; the renderer cannot be used afterward."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()
@@ -145,7 +145,7 @@ class MujocoRenderer:
 
 
 def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
-    """Set pose and frustum of a GL camera; pixel centers have integer coordinates, so the image begins at -0.5."""
+    """Set the pose and frustum of a GL camera; pixel centers have integer coordinates, so the image starts at -0.5."""
     R_WC = camera.X_WC.rotation
     view.pos, view.forward, view.up = camera.X_WC.p, R_WC[:, 2], -R_WC[:, 1]
     view.orthographic = 0
@@ -157,7 +157,7 @@ def _aim(view: mujoco.MjvGLCamera, camera: Camera) -> None:
 
 
 def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Place MuJoCo's headlight at our camera, and light a model without lights as the ray caster does."""
+    """Move MuJoCo's headlight to the camera, and light a model without lights in the same way as the ray caster."""
     import mujoco
 
     for light in scene.lights[: scene.nlight]:
@@ -177,7 +177,7 @@ def _light(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> Non
 
 
 def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera) -> None:
-    """Fill empty pixels with the ray caster's horizon color: a plane behind everything, unless there is a skybox."""
+    """Add a plane behind everything with the ray caster's horizon color, unless the model has a skybox."""
     import mujoco
 
     has_sky = bool((model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).any())
@@ -196,20 +196,20 @@ def _hang_backdrop(scene: mujoco.MjvScene, model: mujoco.MjModel, camera: Camera
 Index = NDArray[np.int64]
 Floats = NDArray[np.float32]
 
-FEW = 500  # Meshes with at most this many triangles are unchanged
+FEW = 500  # Meshes with at most this many triangles are not simplified
 
 # Edge length of the cubes whose vertices are merged [m]: 0.4 pixels at half a meter in an image 320 pixels wide.
 MERGED_M = 1e-3
 
-# Minimum cosine (10 deg) between the normals and their mean for merging in cubes of two, four and eight times that
-# size, in flat regions. The outline moves by at most 0.2 mm, and shading is unchanged because normals are kept.
+# Minimum cosine (10 deg) between the normals and their mean for merging flat regions in cubes two, four and eight times
+# as large. The outline moves by at most 0.2 mm, and shading does not change because the normals are kept.
 FLAT_LEVELS, FLAT = 3, 0.985
 
 
 def coarsened(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model for rendering, with meshes reduced to the detail visible in a small image.
+    """Return a copy of a model for rendering, with meshes reduced to the level of detail visible in a small image.
 
-    Triangles that become degenerate or duplicate by merging are omitted. The copy cannot be used for physics, because
+    Triangles that are degenerate or duplicated after merging are omitted. The copy cannot be used for physics, because
     its collision meshes are not updated.
     """
     drawn = copy.copy(model)
@@ -233,7 +233,7 @@ def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
 
 
 def _clusters(corners: Floats, faces: Index) -> Index:
-    """Return the index of the vertex into which each vertex [m], shape (n, 3), is merged, shape (n,)."""
+    """Return the index of the vertex that each vertex is merged into, shape (n,); vertices [m] have shape (n, 3)."""
     a, b, c = (corners[faces[:, k]] for k in range(3))
     normals = _unit(np.cross(b - a, c - a))
     owner = _cubes(corners, MERGED_M)
@@ -264,7 +264,7 @@ def _cubes(corners: Floats, size: float) -> Index:
 
 
 def _distinct(faces: Index) -> Index:
-    """Return the ascending indices of triangles with three distinct vertices that do not repeat an earlier triangle."""
+    """Return the indices, in ascending order, of non-degenerate triangles that do not duplicate an earlier triangle."""
     a, b, c = np.sort(faces, axis=1).T
     size = int(c.max()) + 1
     _, first = np.unique((a * size + b) * size + c, return_index=True)

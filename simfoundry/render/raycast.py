@@ -1,7 +1,7 @@
-"""Ray-cast images of a scene without a display, driver or GPU: color, exact depth, object labels and normals.
+"""Ray-cast images of a scene (color, exact depth, object labels and normals) without a display, GL driver or GPU.
 
-They are used for synthetic captures, for documentation and on machines where no simulator can render. Colors are shaded
-in linear light (Lambertian, faint highlights, hemispherical ambient light, shadows) and returned as sRGB.
+These images are used for synthetic captures, for documentation, and on machines where no simulator can render. Colors
+are shaded in linear light (Lambertian, faint highlights, hemispherical ambient light, shadows) and returned as sRGB.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from simfoundry.render.surface import SceneSurface, scene_surface
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 
-BAND = 1_300_000  # Number of rays shaded at once; this needs about 1 GB of memory
+BAND = 1_300_000  # Number of rays shaded at once; this requires about 1 GB of memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` in the camera frame, so the center of the first pixel
     is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. The color of a pixel is the mean of ``samples`` x
     ``samples`` rays. One ray gives hard shadows and no ambient occlusion; two or more darken corners, and more rays
-    soften the shadows. Depth, objects and normals are those at the pixel center. A visual with alpha 0 is absent. A
-    visual with alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
+    soften the shadows. Depth, objects and normals are evaluated at the pixel center. A visual with alpha 0 is not
+    rendered. A visual with alpha below 1 appears in all four arrays, transmits the color behind it and casts no shadow.
     """
     if samples < 1:
-        raise ValueError(f"a pixel needs at least one ray; got samples={samples}")
+        raise ValueError(f"samples must be at least 1, not {samples}")
     surface = scene_surface(scene, state)
     h, w = camera.height, camera.width
     rays = _pixels(camera, 1)
@@ -71,7 +71,7 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
 
 
 def _band(scene: Scene, surface: SceneSurface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
-    """Render up to ``rows`` rows of the image from ``top`` on, as a separate image."""
+    """Render up to ``rows`` rows of the image, starting at ``top``, as a separate image."""
     band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
     rays = _pixels(band, samples)
     linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), samples)
@@ -83,7 +83,7 @@ def _pixels(camera: Camera, samples: int) -> Rays:
 
 
 def _seen(surface: SceneSurface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
-    """Return the first hit of each ray. Only the outside of closed surfaces is visible, so back faces are skipped."""
+    """Return the first hit of each ray, skipping back faces of closed surfaces, whose insides are never visible."""
     alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
     faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
     kept = faces_camera | ~surface.closed
@@ -101,14 +101,20 @@ def _directions(rays: Rays, camera: Camera) -> Array:
 
 
 def _normals(surface: SceneSurface, hits: Hits, directions: Array) -> Array:
-    """Return unit shading normals toward the camera, shape (n, 3); every ray along ``directions`` (n, 3) has hit."""
+    """Return unit shading normals toward the camera, shape (n, 3).
+
+    Every ray along ``directions``, shape (n, 3), must have a hit.
+    """
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
     away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
 def _colors(scene: Scene, surface: SceneSurface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
-    """Return the linear color of each ray, shape (n, 3); a translucent hit is blended with the opaque one behind it."""
+    """Return the linear color of each ray, shape (n, 3).
+
+    The color of a translucent hit is blended with that of the opaque surface behind it.
+    """
     directions = _directions(rays, camera)
     color = background(directions)
     met = np.flatnonzero(hits.triangle >= 0)

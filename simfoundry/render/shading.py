@@ -25,11 +25,11 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.render.surface import SceneSurface
 from simfoundry.scene.model import LightType, Scene
 
-SHADOW_BIAS = 2e-4  # Occluders closer to a point than this along the light direction [m] are the point's own surface
+SHADOW_BIAS = 2e-4  # Minimum distance of an occluder along the light direction [m]; closer hits are the surface itself
 
 DISTANT = 1e4  # Distance of a distant light, in scene radii
 
-FILL = 0.22  # Ambient light of a scene that has lights but no dome; a real room is never black in the shade
+FILL = 0.22  # Ambient light in a scene with lights but without a dome; shadows in a real room are never black
 
 LAMP_RADIUS = 0.03  # Half the angular diameter of a distant lamp [rad], for soft shadows
 
@@ -47,7 +47,10 @@ NADIR = frozen_array([0.50, 0.52, 0.55])
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A light that casts shadows: at ``p`` [m, world] or, if ``distant``, from direction ``p`` (unit); linear rgb."""
+    """A light that casts shadows, with linear ``rgb``.
+
+    It is located at ``p`` [m, world], or shines from direction ``p`` (unit vector) if it is ``distant``.
+    """
 
     p: Array
     distant: bool
@@ -56,7 +59,7 @@ class Lamp:
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """All lighting of a scene: lamps, and ambient linear rgb for surfaces facing up and for surfaces facing down."""
+    """The lighting of a scene: lamps, and ambient light (linear rgb) for surfaces facing up and facing down."""
 
     lamps: tuple[Lamp, ...]
     up: Array
@@ -64,7 +67,7 @@ class Studio:
 
 
 def studio(scene: Scene) -> Studio:
-    """Return the scene's own lights, or daylight from the upper left as seen by a robot that looks along x."""
+    """Return the lights in the scene; by default, daylight from the upper left as seen by a robot looking along x."""
     if not scene.lights:
         lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
@@ -85,10 +88,11 @@ def studio(scene: Scene) -> Studio:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Visible points, n of them: ``p`` [m, world] (n, 3), unit ``normals`` (n, 3), unit directions ``to_eye`` (n, 3).
+    """The n visible points to shade.
 
-    ``group``, shape (n,), is the subpixel of each point, out of ``groups``. Each subpixel uses its own samples of the
-    lamps and the sky, so that their mean has soft shadows.
+    ``p`` [m, world], unit ``normals`` and unit directions ``to_eye`` have shape (n, 3). ``group``, shape (n,), is the
+    subpixel of each point; there are ``groups`` subpixels. Each subpixel uses different samples of the lamps and the
+    sky, so that the mean over subpixels has soft shadows.
     """
 
     p: Array
@@ -99,7 +103,10 @@ class Points:
 
 
 def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
-    """Return the linear color of the n hits, shape (n, 3); ``focal_squared`` [px^2] determines the size of a pixel."""
+    """Return the linear color of each of the n hits, shape (n, 3).
+
+    ``focal_squared`` [px^2] determines the size of a pixel on the surface.
+    """
     albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
     sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
     light = lights.down * (1 - sky) + lights.up * sky * _openness(surface, at)[:, None]
@@ -118,7 +125,10 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """Return the ``k``-th of ``count`` samples on a distant lamp; the center for a point lamp or a single sample."""
+    """Return the ``k``-th of ``count`` samples on a distant lamp.
+
+    For a point lamp or a single sample, the center of the lamp is returned.
+    """
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
@@ -151,10 +161,10 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 
 
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
-    """Mark the points at which an opaque surface blocks the lamp, shape (n,).
+    """Return a mask of the points at which an opaque surface blocks the lamp, shape (n,).
 
-    The far side of a closed surface casts its shadow: the shadow is the same, and smooth shading keeps a soft
-    terminator.
+    Shadows are cast by the far side of closed surfaces. The shadow on other surfaces is the same, and smooth shading
+    keeps a soft terminator.
     """
     shadow = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(surface.corners):
@@ -201,7 +211,7 @@ def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: flo
 
 
 def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Return the texture color of each hit, shape (n, 3), from the level whose texels are about the size of a pixel."""
+    """Return the texture color of each hit, shape (n, 3), from the mipmap level whose texels are about pixel-sized."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
     at = blend(uv, hits.weights)
@@ -234,7 +244,7 @@ def _bilinear(image: Array, uv: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _pyramid(png: bytes) -> tuple[Array, ...]:
-    """Return the texture in linear light as a pyramid; each level has half the size of the previous one."""
+    """Return the texture in linear light as a mipmap pyramid; each level has half the size of the previous one."""
     from PIL import Image
 
     with Image.open(io.BytesIO(png)) as picture:

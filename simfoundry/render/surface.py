@@ -15,22 +15,22 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState
 
-SEGMENTS = 96  # Tessellation of round primitives: the radius of a 5 cm cup is off by at most 27 micrometers
+SEGMENTS = 96  # Segments in round primitives; the surface of a 5 cm cup is off by at most 27 micrometers
 
-CREASE_DEG = 35.0  # Faces that meet at a smaller angle are shaded as one smooth surface
+CREASE_DEG = 35.0  # Faces that meet at a smaller angle than this are shaded as a single smooth surface
 
-# Vertices with more corners than this (the hub of a fan) are not smoothed; the number of pairs is quadratic.
+# Vertices with more corners than this (such as the hub of a fan) are not smoothed; the number of pairs is quadratic.
 _CROWDED = 512
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSurface:
-    """All m visible triangles of a scene.
+    """All m visible triangles in a scene.
 
-    ``corners`` [m, world], shape (m, 3, 3). ``normals`` are unit vectors in the world at each corner, shape (m, 3, 3).
-    ``uv``, shape (m, 3, 2), is zero without texture coordinates. ``visual``, shape (m,), indexes ``visuals``.
-    ``object``, shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks triangles of watertight,
-    outward-oriented surfaces, whose insides are never visible.
+    ``corners`` [m, world] has shape (m, 3, 3). ``normals`` are unit vectors in the world at each corner, shape
+    (m, 3, 3). ``uv``, shape (m, 3, 2), is zero for surfaces without texture coordinates. ``visual``, shape (m,),
+    indexes ``visuals``. ``object``, shape (m,), indexes the scene's objects. ``closed``, bool, shape (m,), marks
+    triangles of watertight, outward-oriented surfaces, whose insides are never visible.
     """
 
     corners: Array
@@ -44,7 +44,7 @@ class SceneSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """One geometry in its own frame; arrays as in :class:`SceneSurface`."""
+    """The triangles of one geometry in its own frame; the arrays are the same as in :class:`SceneSurface`."""
 
     corners: Array
     normals: Array
@@ -95,7 +95,7 @@ def _patch(geometry: Geometry) -> _Patch:
 
 
 def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
-    """Return true if every edge is used once in each direction and the enclosed volume is positive."""
+    """Return True if every edge is used once in each direction and the enclosed volume is positive."""
     if not len(faces):
         return False
     start, stop = faces.ravel(), np.roll(faces, -1, axis=1).ravel()

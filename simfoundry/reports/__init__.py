@@ -1,1 +1,1 @@
-"""HTML pages: the templates, the common style, and the data of each page."""
+"""HTML reports: templates, shared styles, and the data for each page."""

@@ -1,7 +1,7 @@
-"""Page that shows a change: pictures of the scene before and after, and a list of changes.
+"""A page that shows a change: images of the scene before and after, and a list of changes.
 
-It is a single file without scripts or links that can be attached to a pull request. All text from documents is escaped,
-and the same documents give the same bytes.
+The page is a single file without scripts or links, so it can be attached to a pull request. All text from documents is
+escaped, and equal documents give equal bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from simfoundry.reports.pictures import Picture, Tint
     from simfoundry.scene.model import Camera, Scene
 
-# Colors of the marks in pictures and in the list (sRGB bytes).
+# Colors of the marks in images and in the list of changes (sRGB bytes).
 COLORS = {
     "moved": (0xF0, 0x8C, 0x00),
     "added": (0x2F, 0x9E, 0x44),
@@ -31,13 +31,13 @@ COLORS = {
     "changed": (0x1C, 0x7E, 0xD6),
 }
 
-# Smallest indirect move that is reported: half a millimeter and a tenth of a degree; smaller ones result from solving a
-# placement again.
+# Minimum indirect motion that is reported: half a millimeter and a tenth of a degree. Smaller motions are artifacts of
+# solving a placement again.
 SEEN_M, SEEN_DEG = 5e-4, 0.1
 
 
 def page(comparisons: Sequence[DocumentComparison]) -> str:
-    """Return the page for the given documents."""
+    """Render the page for the given documents."""
     documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     return render("comparison.html.j2", title=title, sources="", colors=COLORS, documents=documents)
@@ -49,7 +49,7 @@ def mark_of(entry: MemberChange) -> str:
 
 
 def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
-    """Return the values of one document for the template."""
+    """Return the template variables for one document."""
     lowered = _lowered_sides(comparison)
     comparison = _with_moves(comparison, lowered)
     return {
@@ -75,7 +75,7 @@ def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
 
 
 def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
-    """Return the comparison with moves that no text states: of objects on or beside a changed one."""
+    """Add indirect motion to the comparison: objects that moved because their `place` refers to a changed object."""
     old, new = lowered if lowered else ("", "")
     if isinstance(old, str) or isinstance(new, str):
         return comparison
@@ -104,11 +104,11 @@ def _label(side: Side | None) -> str:
     return side.label if side is not None else "nothing"
 
 
-# -- pictures -------------------------------------------------------------------------------------------------------
+# -- images ---------------------------------------------------------------------------------------------------------
 
 
 def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
-    """Return both scenes, or the reason why one cannot be shown; empty for other kinds of documents."""
+    """Return both scenes, or the reason why a scene cannot be shown; empty for other kinds of documents."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
         return ()
@@ -116,7 +116,7 @@ def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
 
 
 def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
-    """Return both scenes side by side, each as a picture or the reason for its absence."""
+    """Return the template variables for both scenes, each with an image or the reason why there is no image."""
     sides = (comparison.old, comparison.new)
     scenes = [scene for scene in lowered if not isinstance(scene, str)]
     shown: list[Picture | str] = [str(scene) for scene in lowered]
@@ -137,7 +137,7 @@ def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], ke
 
 
 def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
-    """Return the tints of both scenes; a renamed object keeps its tint."""
+    """Return the tints of objects in both scenes; a renamed object keeps its tint."""
     from simfoundry.reports.pictures import tints_of
 
     was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
@@ -148,7 +148,7 @@ def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tu
 
 
 def _lowered(side: Side | None) -> Scene | str:
-    """Return the scene of a side, or the reason why there is none."""
+    """Return the scene on one side, or the reason why it cannot be shown."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
     from simfoundry.scene.lower import lower
@@ -156,7 +156,7 @@ def _lowered(side: Side | None) -> Scene | str:
     if side is None:
         return "The document does not exist."
     if not isinstance(side.spec, SceneSpec):
-        return "This is not a scene."
+        return "The document is not a scene."
     try:
         return lower(side.loaded, Cache.default(), fetch=False)
     except SpecError as error:
@@ -175,7 +175,7 @@ def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
 
 
 def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
-    """Changed objects of the old or the new scene by their names in it, each with its CSS class."""
+    """Return the changed objects in the old or new scene, keyed by their names there, each with its CSS class."""
     out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":
@@ -198,7 +198,7 @@ def _side(
 
 
 def _tag(label: Label, key: str, entry: MemberChange) -> dict[str, str]:
-    """Return a label, and the line from it to its object, in percent of the picture."""
+    """Return a label and the line that connects it to its object, in percent of the image size."""
     places = {
         "x": label.x,
         "y": label.y,

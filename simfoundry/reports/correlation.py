@@ -1,4 +1,4 @@
-"""Scatter plot of real against simulated success rates: one point per policy and task, as in the paper's figure."""
+"""A scatter plot of simulated versus real success rates, with one point per policy and task, as in the paper."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from simfoundry.evaluate.statistics.correlation import RateAgreement, mean_agreement
 from simfoundry.reports.render import render
 
-# Side of the plot, margin for its axes, and width of the legend [px]: readable when embedded in text.
+# Side length of the plot, margin for its axes, and width of the legend [px]; readable when embedded in text.
 SIDE, MARGIN, LEGEND = 440, 56, 210
 
 COLORS = ("#2f6fde", "#e07b1a", "#2a9d63", "#b23a8f", "#6b7280")
-# Markers of tasks, as SVG paths centered at the origin.
+# Markers for tasks, as SVG paths centered at the origin.
 PATHS = {
     "circle": "",
     "square": "M-5-5H5V5H-5Z",
@@ -24,7 +24,7 @@ PATHS = {
 
 
 def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:
-    """Return an SVG of every series of agreements by name; the color encodes the series, the marker the task."""
+    """Return an SVG of every series of agreements by name; colors encode the series, and markers encode the task."""
     tasks = list(dict.fromkeys(a.task for found in series.values() for a in found))
     marks = {task: list(PATHS)[k % len(PATHS)] for k, task in enumerate(tasks)}
     colors = {name: COLORS[k % len(COLORS)] for k, name in enumerate(series)}

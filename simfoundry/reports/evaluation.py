@@ -1,4 +1,4 @@
-"""Evaluation report as one page: conditions, success with intervals, grids of starts, failures, videos.
+"""The evaluation report: a page with conditions, success rates with intervals, initial states, failures, and videos.
 
 Videos are linked by relative paths.
 """
@@ -25,13 +25,13 @@ from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
 
-# Colors of rollouts that succeeded, failed, or have no result: those of the style, for light and dark backgrounds.
+# Colors of rollouts that succeeded, failed, or have no result; they match the style sheet in light and dark mode.
 GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
 
 
 @dataclass(frozen=True)
 class RateCell:
-    """Table cell with a rate and its interval, or a text; ``trouble`` is shown below it."""
+    """A table cell with a rate and its interval, or with text; ``trouble`` is shown below it."""
 
     rate: Rate | None = None
     text: str = "–"
@@ -40,7 +40,7 @@ class RateCell:
 
 @dataclass(frozen=True)
 class RateRow:
-    """Table row: its head, the number of its tasks (0: not shown), and a cell for each policy."""
+    """A table row: its heading, the number of tasks (not shown if 0), and a cell for each policy."""
 
     head: str
     each: Sequence[RateCell]
@@ -49,7 +49,7 @@ class RateRow:
 
 
 def page(records: Sequence[Record], title: str = "Evaluation") -> str:
-    """Return the complete page."""
+    """Render the complete page."""
     by_cell: dict[tuple[str, ...], list[Record]] = {}
     for record in records:
         by_cell.setdefault(cell_key(record), []).append(record)
@@ -74,7 +74,7 @@ def _policies(names: Iterable[str]) -> list[str]:
 
 
 def _conditions(records: Sequence[Record]) -> dict[str, str]:
-    """Versions, engines, robots, seeds and counts: the conditions of the evaluation."""
+    """Return the conditions of the evaluation: versions, engines, robots, seeds, and counts."""
     robots = sorted({f"{name}: {kind}" for r in records for name, kind in r["robots"].items()})
     recipes = sorted({r["cousin"]["recipe"] for r in records if r.get("cousin")})
     return {
@@ -107,7 +107,7 @@ def _success(cell: ScoreRow) -> RateCell:
 
 
 def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
-    """Rows for all tasks together, and for each of their steps."""
+    """Yield table rows for all tasks combined, and for each of their steps."""
     policies = _policies(pool.policy for pool in found)
     for name, here in by_title(found).items():
         tasks = max(len(pool.counts) for pool in here.values())
@@ -127,7 +127,7 @@ def _step_rows(
 
 
 def _task(name: str, here: Sequence[ScoreRow], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
-    """Return one task with its requirements, and the results of each policy."""
+    """Return the template variables for a task: its requirements and the results of each policy."""
     record = by_cell[here[0].key][0]
     return {
         "name": name,
@@ -152,7 +152,7 @@ def _details(cell: ScoreRow, records: Sequence[Record]) -> dict[str, Any]:
 
 
 def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
-    """Cells of an object's region, x up and y to the left as seen from the arm; each with its rollout."""
+    """Return the grid of an object's initial positions, with x up and y to the left as seen from the arm."""
     here = [record for record in records if name in record["cells"]]
     region = here[0]["regions"][name]
     cells_ = [
@@ -174,7 +174,7 @@ def _steps_done(record: Record) -> str:
 
 
 def _why(record: Record) -> str:
-    """Explain the end of a rollout, with the unmet goals in its last state."""
+    """Explain how a rollout ended, including the goals that its final state does not satisfy."""
     if record["success"]:
         return f"success after {record['steps']} steps"
     said = [record["reason"] or record["end"]]

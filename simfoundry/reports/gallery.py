@@ -1,4 +1,4 @@
-"""``gallery.html``: pictures of the first cousins, their requested variations, and reasons for rejections."""
+"""``gallery.html``: images of the first cousins, the variations requested for them, and reasons for rejections."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PICTURES = "pictures"
 
 
 def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write the page, and the missing pictures of at most ``most`` cousins."""
+    """Write the page, and render missing images for at most ``most`` cousins."""
     with Reader() as reader:
         places = islice((place for place in ledger.counted() if place.accepted), most)
         shown = [reader.candidate(place) for place in places]
@@ -35,7 +35,11 @@ def write_gallery(plan: RunPlan, ledger: Ledger, most: int, progress: Callable[[
 
 
 def _picture(out: Path, candidate: Candidate) -> Path | None:
-    """Return the picture of a cousin's scene, rendered if missing; None if it has no scene of its own, or no camera."""
+    """Return the image of a cousin's scene, rendering it if necessary.
+
+    Returns:
+        The path of the image, or None if the cousin has no scene of its own or the scene has no camera.
+    """
     if "scene" not in candidate.documents:
         return None
     path = out / PICTURES / f"{candidate.index:06d}.png"
@@ -54,9 +58,14 @@ def page(
     reasons: Mapping[str, str],
     variants: Sequence[str] = (),
 ) -> str:
-    """Return the page.
+    """Render the page.
 
-    ``pictures`` are given by index, ``reasons`` are one example each, and ``variants`` are the results for each object.
+    Args:
+        facts: Totals of the run.
+        shown: The cousins to show.
+        pictures: Image paths by cousin index.
+        reasons: One example for each rejection reason.
+        variants: A text with the variant results for each object.
     """
     title = f"Cousins: {facts['recipe']}"
     return render(

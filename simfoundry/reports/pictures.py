@@ -1,4 +1,4 @@
-"""Pictures of a scene before and after a change, from one camera, with the changed objects outlined."""
+"""Images of a scene before and after a change, from the same camera, with the changed objects outlined."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from simfoundry.render.surface import scene_surface
 from simfoundry.scene.bodies import GRAY
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
-WIDTH, HEIGHT = 640, 480  # Default and maximum size of a picture [px]: two fit side by side on a page of 1320 px
+WIDTH, HEIGHT = 640, 480  # Default and maximum image size [px]; two images fit side by side on a page 1320 px wide
 
-VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]: a wider one distorts upright objects at the edges
+VIEW_DEG = 40.0  # Vertical field of view of the default camera [deg]; wider views distort upright objects at the edges
 
-# Position of the default camera relative to the middle of the scene: behind the robot's right shoulder.
+# Direction from the center of the scene to the default camera, which is behind the robot's right shoulder.
 FROM = (-0.72, -0.62, 0.62)
 
-# Margin of the default camera around the objects, as a factor on their radius; less would cut off outlines.
+# Margin of the default camera around the objects, as a factor on their radius; smaller values would cut off outlines.
 MARGIN = 1.08
 
-RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales a picture down
+RIM = 4  # Outline width of a changed object [px]; narrower outlines vanish when the page scales down an image
 
 GOLDEN = (5**0.5 - 1) / 2  # Step between hues: multiples of the golden ratio stay far apart for any number of hues
 
@@ -36,7 +36,10 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Tag:
-    """Position of an object in a picture: ``x`` of its middle and ``y`` of its top, as shares of width and height."""
+    """The position of an object in an image.
+
+    ``x`` is the center of the object and ``y`` its top, as fractions of the image's width and height.
+    """
 
     name: str
     x: float
@@ -45,7 +48,7 @@ class Tag:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Picture as PNG bytes, its size [px], and tags of the changed objects visible in it."""
+    """An image as PNG bytes, its size [px], and tags for the changed objects visible in it."""
 
     png: bytes
     width: int
@@ -72,13 +75,13 @@ def picture(
 
 
 def tints_of(names: Iterable[str]) -> dict[str, Tint]:
-    """Return a pale tint for each name, in order, as different as possible; equal names give equal tints."""
+    """Return a pale tint for each name, as distinct as possible; equal names in equal order give equal tints."""
     hues = {name: k * GOLDEN % 1.0 for k, name in enumerate(dict.fromkeys(names))}
     return {name: colorsys.hls_to_rgb(hue, 0.68, 0.42) for name, hue in hues.items()}
 
 
 def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
-    """Return an object with its default-gray parts tinted; fixed objects stay gray, as a background."""
+    """Return an object with its default-gray parts tinted; fixed objects remain gray because they are background."""
     if tint is None or item.fixed:
         return item
     rgba = frozen_array((*tint, 1.0))
@@ -93,7 +96,7 @@ def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
 
 
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
-    """Return the first chosen camera, scaled down if needed; by default a view of everything in the scenes."""
+    """Return the first chosen camera, scaled down if necessary; by default, a view of everything in the scenes."""
     for camera in chosen:
         if camera is not None:
             return _shrunk(camera)
@@ -116,7 +119,7 @@ def _shrunk(camera: Camera) -> Camera:
 
 
 def _overview(scenes: list[Scene]) -> Camera:
-    """Three-quarter view of the objects that are not fixed, or of all objects if all are fixed."""
+    """Return a three-quarter view of the objects that are not fixed, or of all objects if all are fixed."""
     points = [p for scene in scenes for p in (_corners(scene, free=True),) if len(p)]
     points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
     cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
@@ -130,14 +133,14 @@ def _overview(scenes: list[Scene]) -> Camera:
 
 
 def _corners(scene: Scene, free: bool) -> Array:
-    """Corners of the visible triangles [m, world], shape (n, 3), of all objects or of those that are not fixed."""
+    """Return the corners of the visible triangles [m, world], shape (n, 3), of all objects or only of free objects."""
     surface = scene_surface(scene)
     wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
 
 
 def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:
-    """Outline the object with a label, in place, but never over an object with a smaller visible area."""
+    """Outline the object with the given label, in place, without drawing over objects with a smaller visible area."""
     mask = seen == label
     h, w = mask.shape
     padded = np.pad(mask, RIM)
@@ -159,23 +162,23 @@ def _png(image: Image) -> bytes:
     return out.getvalue()
 
 
-FONT = 0.024  # Font size as a fraction of the image width: 15 px if two images share a wide page
+FONT = 0.024  # Font size as a fraction of the image width: about 15 px when two images are side by side on a wide page
 
-LONGEST = 24  # Length from which names are truncated with dots: a third of a picture's width
+LONGEST = 24  # Maximum length of a name [characters], about a third of the image width; longer names are truncated
 
-# Character width of the widest common fonts, padding of a name on both sides, height of a label, and least gap between
-# two, all as shares of the font size.
+# Character width of the widest common fonts, total padding of a name, height of a label, and minimum gap between two
+# labels, all as fractions of the font size.
 _LETTER, _PADDING, _LINE, _GAP = 0.64, 1.0, 1.5, 0.2
 
-# Sideways shifts of a label, as shares of its width; below 0.5, so that the line to its object starts under it.
+# Horizontal shifts of a label as fractions of its width; less than 0.5, so that the line to its object starts below it.
 _ASIDE = (0.0, -0.25, 0.25, -0.45, 0.45)
 
 
 @dataclass(frozen=True)
 class Label:
-    """Label with its middle at ``x`` and its lower edge at ``y``, of size ``width`` and ``height``.
+    """A label centered at ``x`` with its lower edge at ``y``, and with size ``width`` and ``height``.
 
-    A line goes down to the object ``thing`` at (``thing_x``, ``thing_y``). All values are shares of the picture.
+    A line connects it to its object at (``thing_x``, ``thing_y``). All values are fractions of the image size.
     """
 
     name: str
@@ -188,11 +191,11 @@ class Label:
 
     @property
     def text(self) -> str:
-        """Name, shortened if it is long."""
+        """The name, truncated if it is long."""
         return self.name if len(self.name) <= LONGEST else f"{self.name[: LONGEST - 1]}…"
 
     def meets(self, other: Label) -> bool:
-        """Return whether two labels overlap."""
+        """Return True if two labels overlap."""
         return (
             abs(self.x - other.x) < (self.width + other.width) / 2
             and self.y - self.height < other.y
@@ -201,9 +204,9 @@ class Label:
 
 
 def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
-    """Return a label for each tag, above its object if there is space; tags without space are left out.
+    """Return a label for each tag, above its object if there is space; labels that do not fit are omitted.
 
-    ``aspect`` is the width of the picture divided by its height.
+    ``aspect`` is the width of the image divided by its height.
     """
     placed: list[Label] = []
     for tag in sorted(tags, key=lambda t: (-t.y, t.x, t.name)):  # objects in front keep their labels close
@@ -215,7 +218,7 @@ def place_labels(tags: Sequence[Tag], aspect: float) -> list[Label]:
 
 
 def _candidates(tag: Tag, aspect: float) -> Iterator[Label]:
-    """Yield positions of a label inside the picture, nearest first: above its object, then below."""
+    """Yield candidate positions of a label inside the image, nearest first: above its object, then below."""
     height = (_LINE + _GAP) * FONT * aspect
     width = (_LETTER * min(len(tag.name), LONGEST) + _PADDING + _GAP) * FONT
     above, below = int(max(tag.y, 0) / height), int(max(1 - tag.y, 0) / height)

@@ -1,4 +1,4 @@
-"""Results of ``simfoundry verify`` as one self-contained page: tables, bars and pictures."""
+"""The results of ``simfoundry verify`` as a self-contained page with tables, bars and images."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def page(
     pictures: Mapping[str, bytes],
     rested: Sequence[RestResult] = (),
 ) -> str:
-    """Return the complete page; ``pictures`` are PNGs by the name of the scene."""
+    """Render the complete page; ``pictures`` contains PNG bytes by scene name."""
     stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
     by_name = _rows(((m.behavior, m) for m in results), stepping)
@@ -63,7 +63,7 @@ def page(
 
 
 def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, dict[str, C | None]]:
-    """Rows by name, each with a cell or None for every engine."""
+    """Arrange the cells in rows by name; each row has a cell, or None, for every engine."""
     rows: dict[str, dict[str, C | None]] = {}
     for name, cell in cells:
         rows.setdefault(name, dict.fromkeys(engines))[cell.engine] = cell
@@ -73,7 +73,7 @@ def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, d
 def summary(
     readings: Sequence[ReadbackResult], results: Sequence[BehaviorResult], rested: Sequence[RestResult] = ()
 ) -> str:
-    """Return one sentence with the numbers of comparisons and of errors."""
+    """Return a one-sentence summary with the number of comparisons and errors."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)

@@ -1,1 +1,1 @@
-"""Files, processes and optional packages: the foundation of all other packages."""
+"""Utilities for files, processes and optional packages, used by all other packages."""

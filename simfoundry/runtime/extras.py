@@ -1,4 +1,4 @@
-"""Optional packages: the purpose and packages of each extra, and the command that installs it."""
+"""Optional dependencies: the purpose and packages of each extra, and the command to install it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from simfoundry.errors import SimfoundryError
 
 @dataclass(frozen=True)
 class Extra:
-    """One optional dependency of the package.
+    """An optional dependency group of this package.
 
-    ``packages`` maps the distributions that it installs to the modules by which they are imported.
+    ``packages`` maps each distribution that it installs to the name of its importable module.
     """
 
     name: str
@@ -24,14 +24,14 @@ class Extra:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The distributions that cannot be found; nothing is imported."""
+        """Return the distributions that are not installed, without importing anything."""
         return tuple(name for name, module in self.packages.items() if not is_installed(module))
 
 
 def is_installed(module: str) -> bool:
-    """Return true if a top-level module can be found, without importing it."""
+    """Return True if a top-level module is installed, without importing it."""
     if module in sys.modules:
-        return sys.modules[module] is not None  # None blocks the import of a module
+        return sys.modules[module] is not None  # None prevents a module from being imported
     try:
         return find_spec(module) is not None
     except ImportError:  # raised by an import hook
@@ -46,39 +46,39 @@ def _extra(name: str, purpose: str, **packages: str) -> tuple[str, Extra]:
 EXTRAS: Mapping[str, Extra] = MappingProxyType(
     dict(
         (
-            _extra("expert", "the scripted expert (`-p expert`) and reachability checks by inverse kinematics",
+            _extra("expert", "the scripted expert (`-p expert`) and reachability checks using inverse kinematics",
                    mink="mink", qpsolvers="qpsolvers", daqp="daqp"),
             _extra("robots", "known robots except `demo_arm`; each is downloaded on first use",
                    mujoco_menagerie="mujoco_menagerie"),
-            _extra("pybullet", "PyBullet worlds (not needed to write their files)", pybullet="pybullet"),
-            _extra("policies", "policies behind a server (`eval -p policy.yaml`)",
+            _extra("pybullet", "PyBullet worlds (not required for compiling to PyBullet)", pybullet="pybullet"),
+            _extra("policies", "policies served over a network (`eval -p policy.yaml`)",
                    msgpack="msgpack", pyzmq="zmq", websockets="websockets"),
-            _extra("gymnasium", "tasks as `gymnasium` environments", gymnasium="gymnasium"),
+            _extra("gymnasium", "tasks as Gymnasium environments", gymnasium="gymnasium"),
             _extra("vlm", "vision-language models that propose tasks and variants",
                    pydantic_ai_slim="pydantic_ai"),
             _extra("ray", "cousins on a cluster (`cousins --on ray`)", ray="ray"),
-            _extra("drake", "builds checked in Drake (`verify`)", drake="pydrake"),
-            _extra("newton", "builds checked in Newton (`verify`)", newton="newton"),
-            _extra("genesis", "builds checked in Genesis (`verify`)", genesis_world="genesis", torch="torch"),
-            _extra("sapien", "builds checked in SAPIEN (`verify`)", sapien="sapien"),
+            _extra("drake", "verification of builds in Drake (`verify`)", drake="pydrake"),
+            _extra("newton", "verification of builds in Newton (`verify`)", newton="newton"),
+            _extra("genesis", "verification of builds in Genesis (`verify`)", genesis_world="genesis", torch="torch"),
+            _extra("sapien", "verification of builds in SAPIEN (`verify`)", sapien="sapien"),
         )
     )
 )  # fmt: skip
 
 
 class MissingExtraError(SimfoundryError):
-    """An error for packages that are not installed; the message names the feature and the install command."""
+    """An error for missing optional packages; the message names the feature and the install command."""
 
 
 def need_extra(extra: str, what: str) -> None:
-    """Raise :class:`MissingExtraError` if ``what`` needs packages of an extra that are missing."""
+    """Raise :class:`MissingExtraError` if packages in an extra, which the feature ``what`` requires, are missing."""
     missing = EXTRAS[extra].missing
     if missing:
-        raise MissingExtraError(f"{what} needs {', '.join(missing)}; install with `{install_line(extra)}`")
+        raise MissingExtraError(f"{what} requires {', '.join(missing)}; install with `{install_line(extra)}`")
 
 
 def how_to_install(module: str) -> str:
-    """Return the command that installs a module: that of the extra it belongs to, or that of its own package."""
+    """Return the command that installs a module, either through the extra that contains it or as a separate package."""
     top = module.partition(".")[0]
     extra = next((extra.name for extra in EXTRAS.values() if top in extra.packages.values()), None)
     return install_line(extra) if extra is not None else f"pip install {top.replace('_', '-')}"

@@ -1,4 +1,4 @@
-"""Atomic writes of files and folders, so that an interrupted run leaves the previous version intact."""
+"""Write files and folders atomically, so that an interrupted run leaves the previous version intact."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from typing import IO
 
 from simfoundry.errors import OutputError
 
-# Incidental files that programs leave in a folder; they can be deleted.
+# Incidental files that programs leave in a folder; they are safe to delete.
 BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 
-# Age [s] after which a staging folder counts as abandoned on systems without folder locks; no run takes this long.
+# Age [s] after which a staging folder is considered abandoned on systems without folder locks; no run takes this long.
 STALE_S = 3600.0
 
 
@@ -31,7 +31,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 @contextmanager
 def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
-    """Yield a stream to a file that appears atomically if the block succeeds, for content larger than memory."""
+    """Yield a stream to a file that appears atomically if the block succeeds; use it for content larger than memory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
@@ -45,7 +45,7 @@ def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file and create its folders, inside a staging folder that is moved into place later."""
+    """Write a file in a staging folder that is moved into place later, creating parent folders as needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path):
         path.write_bytes(data)
@@ -53,7 +53,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file name to system errors that lack one, such as a write to a full disk."""
+    """Add the file name to OS errors that lack one, such as an error from writing to a full disk."""
     try:
         yield
     except OSError as error:
@@ -64,7 +64,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder beside ``folder`` that replaces it if the block succeeds and is removed otherwise."""
+    """Yield an empty folder next to ``folder`` that replaces it if the block succeeds, and is removed otherwise."""
     with scratch(folder.parent, folder.name) as staging:
         yield staging
         replace_folder(staging, folder)
@@ -72,16 +72,16 @@ def staged(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch(parent: Path, name: str) -> Iterator[Path]:
-    """Yield a new working folder ``parent/.NAME.new.*`` that is removed at the end.
+    """Yield a new temporary folder ``parent/.NAME.new.*``, which is removed at the end.
 
-    It is locked while the run is alive, so that the next run can detect and remove folders of killed runs.
+    The folder is locked during the run, so that the next run can detect and remove folders left by killed runs.
     """
     parent.mkdir(parents=True, exist_ok=True)
     _clear(parent, name)
     made = Path(tempfile.mkdtemp(prefix=f".{name}.making.", dir=parent))
     lock = _lock(made)
     staging = made.with_name(made.name.replace(".making.", ".new."))
-    made.rename(staging)  # it is locked before it becomes visible under this name
+    made.rename(staging)  # the folder is already locked when this name becomes visible
     try:
         yield staging
     finally:
@@ -91,7 +91,7 @@ def scratch(parent: Path, name: str) -> Iterator[Path]:
 
 
 def _clear(parent: Path, name: str) -> None:
-    """Remove the staging folders of dead runs, and those that have not changed for ``STALE_S``."""
+    """Remove staging folders left by killed runs, and folders that have not changed for ``STALE_S``."""
     head = tuple(f".{name}.{step}." for step in ("new", "making"))
     with os.scandir(parent) as entries:
         left = [Path(entry.path) for entry in entries if entry.name.startswith(head)]
@@ -107,9 +107,10 @@ def _clear(parent: Path, name: str) -> None:
 
 
 def _lock(folder: Path) -> int | None:
-    """Return a descriptor that locks a folder until it is closed or the process ends; None if it is already locked.
+    """Lock a folder and return the file descriptor; the lock is held until it is closed or the process ends.
 
-    Also returns None if folders cannot be locked: on Windows, and on some network file systems.
+    Returns None if the folder is already locked, or if folders cannot be locked (on Windows and on some network file
+    systems).
     """
     try:
         import fcntl
@@ -125,10 +126,10 @@ def _lock(folder: Path) -> int | None:
 
 
 def replace_folder(new: Path, folder: Path) -> None:
-    """Exchange the folders ``new`` and ``folder``; both must be on the same file system.
+    """Swap the folders ``new`` and ``folder``; both must be on the same file system.
 
-    The exchange is atomic if the system supports it. Otherwise, a kill between the two renames leaves the old folder
-    beside its place, in ``.NAME.old.*``.
+    The swap is atomic if the system supports it. Otherwise, if the process is killed between the two renames, the old
+    folder remains next to its original location as ``.NAME.old.*``.
     """
     new.chmod(0o755)
     if not folder.exists():
@@ -150,7 +151,7 @@ def replace_folder(new: Path, folder: Path) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files below ``folder`` by relative POSIX path; each parent folder is created once."""
+    """Write files below ``folder``, keyed by relative POSIX path; each parent folder is created only once."""
     for parent in sorted({(folder / path).parent for path in files}):
         parent.mkdir(parents=True, exist_ok=True)
     for path, data in files.items():
@@ -159,27 +160,27 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def strangers(folder: Path, written: Iterable[str]) -> list[str]:
-    """Return the files in ``folder`` that are not in ``written``, by relative POSIX path, sorted."""
+    """Return the sorted relative POSIX paths of the files in ``folder`` that are not in ``written``."""
     known = set(written)
     files = (p.relative_to(folder) for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
     return sorted(p.as_posix() for p in files if p.as_posix() not in known and not set(p.parts) & set(BYSTANDERS))
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Exchange two names atomically; return False if the system or the file system does not support it."""
+    """Swap two paths atomically; return False if the operating system or file system does not support this."""
     if not sys.platform.startswith("linux"):
         return False
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except AttributeError:  # a C library older than 2018
         return False
-    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE for renameat2(2)
     return int(rename(here, os.fsencode(a), here, os.fsencode(b), exchange)) == 0
 
 
 MARK = "Generated by SimFoundry"  # Written at the start of each generated page, plot and image
 
-# Number of leading bytes searched for the mark; it precedes the pixels of a PNG and the content of a page.
+# Number of leading bytes searched for the mark, which precedes the pixels in a PNG and the content of a page.
 HEAD_BYTES = 1024
 
 LISTED = 3  # Maximum number of files listed in a message
@@ -188,7 +189,7 @@ LISTED = 3  # Maximum number of files listed in a message
 def ensure_replaceable(path: Path, inputs: Iterable[Path] = (), force: bool = False) -> None:
     """Raise :class:`OutputError` if writing the file ``path`` would destroy user data.
 
-    ``inputs`` are the files that the command reads; they are refused even with ``force``.
+    ``inputs`` are the files that the command reads; they are never overwritten, even with ``force``.
     """
     if not path.exists():
         return
@@ -203,7 +204,7 @@ def ensure_replaceable(path: Path, inputs: Iterable[Path] = (), force: bool = Fa
 
 
 def is_generated(path: Path) -> bool:
-    """Return true if a file contains :data:`MARK` at its start. Special files, such as pipes, count as generated."""
+    """Return True if a file contains :data:`MARK` near its start; special files, such as pipes, count as generated."""
     if not path.is_file():
         return True
     with path.open("rb") as stream:
@@ -211,28 +212,32 @@ def is_generated(path: Path) -> bool:
 
 
 def ensure_folder_replaceable(folder: Path, written: Mapping[str, str], index: str, advice: str = "") -> None:
-    """Raise :class:`OutputError` if ``folder`` holds files that were not generated there or were edited since.
+    """Raise :class:`OutputError` if ``folder`` contains files that were not generated there or were edited since.
 
-    ``written`` maps the relative POSIX paths of the written files to their SHA-256, and ``index`` is the file that
-    lists them; both come from the folder itself. ``advice`` tells the user how to keep edits.
+    Args:
+        folder: The folder to be replaced.
+        written: SHA-256 of the generated files, keyed by relative POSIX path.
+        index: The file in the folder that lists the generated files.
+        force: Skip the check.
+        advice: Text that tells the user how to keep edits.
     """
     foreign = strangers(folder, [*written, *([index] if written else [])])
     if foreign:
         raise OutputError(
-            f"{folder} holds files that were not generated there ({_names(foreign)}); choose another folder, "
-            "or replace all of it with --force"
+            f"{folder} contains files that were not generated there ({_names(foreign)}); choose another folder, "
+            "or replace the entire folder with --force"
         )
     edited = [path for path, digest in sorted(written.items()) if _differs(folder / path, digest)]
     if edited:
         keep = f"{advice}; " if advice else ""
         raise OutputError(
-            f"{folder} holds files that were edited since they were generated ({_names(edited)}); {keep}choose another "
-            "folder, or replace them with --force and lose the edits"
+            f"{folder} contains files that were edited since they were generated ({_names(edited)}); {keep}choose "
+            "another folder, or discard the edits with --force"
         )
 
 
 def _differs(path: Path, digest: str) -> bool:
-    """Return true if a file exists with different content. A deleted file is not an edit to preserve."""
+    """Return True if a file exists with different content; a deleted file does not count as an edit to preserve."""
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest
 
 
@@ -245,9 +250,10 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def shipped(path: str) -> Path:
-    """Return the folder ``path`` of the repository, in a checkout or an installed wheel.
+    """Return the location of the repository folder ``path``, in a checkout or an installed wheel.
 
-    In a wheel it is below ``simfoundry/shipped``; ``force-include`` in pyproject.toml lists the folders.
+    In a wheel, the folder is located below ``simfoundry/shipped``; ``force-include`` in pyproject.toml lists these
+    folders.
     """
     installed = _PACKAGE / "shipped"
     return (installed if installed.is_dir() else _PACKAGE.parent) / path

@@ -1,4 +1,4 @@
-"""Parallel map: in this process if that is fast enough, otherwise across the CPU cores."""
+"""Parallel map, executed in this process if that is fast enough, otherwise across the CPU cores."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from simfoundry.errors import SimfoundryError
 T = TypeVar("T")
 R = TypeVar("R")
 
-SERIAL_TRIAL = 32  # Number of inputs processed here before the remaining time is estimated; enough for a stable mean
+SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; gives a stable mean
 
-# Shortest remaining work [s] for which processes are started; starting them and importing everything takes 0.5 s.
+# Minimum remaining work [s] that justifies starting processes; startup and imports take about 0.5 s.
 STARTUP_S = 2.0
 
-MAX_PROCESSES = 8  # Default maximum number of processes; with more, memory runs out before time is gained
+MAX_PROCESSES = 8  # Default maximum number of processes; with more, memory becomes the bottleneck
 
-MAX_CHUNK = 32  # Maximum number of inputs per call, so that progress is visible
+MAX_CHUNK = 32  # Maximum number of inputs per call, so that progress is reported regularly
 
-SILENCE_S = 600.0  # Maximum time for a chunk [s], far more than any valid document needs
+SILENCE_S = 600.0  # Time limit for a chunk [s], far longer than any valid document takes
 
 
 def map_parallel(
@@ -31,11 +31,17 @@ def map_parallel(
     startup_s: float = STARTUP_S,
     processes: int | None = None,
 ) -> list[R]:
-    """Map ``function`` over ``inputs``, here if that is fast enough, else across the cores; order is preserved.
+    """Map ``function`` over ``inputs``, in this process if that is fast enough, otherwise across the CPU cores.
 
-    ``function`` must be a module-level function or a partial of one, so that other processes can import it.
-    ``progress`` receives the number of completed inputs. Processes are started if several cores are available and the
-    remaining inputs would take more than ``startup_s`` seconds here.
+    Args:
+        function: A module-level function or a partial of one, so that other processes can import it.
+        inputs: The inputs of the function.
+        progress: Callback that receives the number of completed inputs.
+        startup_s: Minimum estimated time for the remaining inputs [s] that justifies starting processes.
+        processes: Maximum number of processes.
+
+    Returns:
+        The results, in the order of the inputs.
     """
     processes = min(MAX_PROCESSES, usable_cores()) if processes is None else processes
     results: list[R] = []
@@ -71,7 +77,7 @@ def _map_in_processes(
         for _ in chunks:
             k, result = pool.next()
             if isinstance(result, WorkerError):
-                raise SimfoundryError(f"a worker process {result}; check whether the machine has run out of memory")
+                raise SimfoundryError(f"a worker process {result}; check whether the machine ran out of memory")
             found[k] = result
             done += len(chunks[k])
             progress(done)
@@ -81,7 +87,7 @@ def _map_in_processes(
 
 
 def map_chunk(function: Callable[[T], R], chunk: Sequence[T]) -> list[R]:
-    """Map ``function`` over one chunk of inputs; this is the call that a worker receives."""
+    """Map ``function`` over a chunk of inputs in a worker process."""
     return [function(value) for value in chunk]
 
 

@@ -1,11 +1,11 @@
 """Subprocess workers, which turn a crash, hang or memory exhaustion in a native library into an error message.
 
-A :class:`Worker` calls module functions by name. Its process starts at the first call, serves many calls, and is
-restarted after a failure. Output of the functions goes to a log, whose last line is quoted if a call fails. A
-:class:`WorkerPool` runs several workers in parallel.
+A :class:`Worker` calls module-level functions by name. Its process is started on the first call, handles many calls,
+and is restarted after a failure. Output from the functions is written to a log, whose last line is quoted if a call
+fails. A :class:`WorkerPool` runs several workers in parallel.
 
-Unlike multiprocessing, loky and pebble, a worker needs no ``if __name__ == "__main__"`` in the caller's script, its
-timeout restarts at every progress report, and its memory is limited.
+Unlike with multiprocessing, loky and pebble, the caller's script does not need ``if __name__ == "__main__"``, the
+timeout restarts with every progress report, and memory is limited.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from typing import IO, Any
 from simfoundry.errors import SimfoundryError
 
 _START = "from simfoundry.runtime.workers import serve; serve()"
-WAIT_S = 2.0  # Interval between two progress reports on a running call [s], short enough to show that nothing hangs
+WAIT_S = 2.0  # Interval between progress reports for a running call [s], short enough to show that it is not stuck
 
-GRACE_S = 5.0  # Time for a worker to close connections and videos before it is killed [s]; a clean exit takes under 1 s
+GRACE_S = 5.0  # Time for a worker to close connections and videos before it is killed [s]; normally less than 1 s
 
 # Minimum address space of a worker [bytes]; importing MuJoCo, PyBullet and USD together maps about 4 GiB.
 MIN_MEMORY = 6 * 2**30
@@ -41,7 +41,7 @@ _LENGTH = 8  # Size of the length field before each message [bytes]
 
 
 class WorkerError(SimfoundryError):
-    """A failed call: ``how`` its process ended and, in ``doing``, its last progress report."""
+    """An error for a failed call; ``how`` describes how it failed, and ``doing`` is its last progress report."""
 
     def __init__(self, how: str, doing: str = "") -> None:
         super().__init__(how)
@@ -50,7 +50,7 @@ class WorkerError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a call: ``seconds`` without a progress report, and bytes of address space."""
+    """The limits of a call: the time [s] without a progress report, and the address space [bytes]."""
 
     seconds: float
     memory: int
@@ -65,7 +65,7 @@ class Limits:
 
 
 class Worker:
-    """A process that calls functions one at a time; it can be used from several threads."""
+    """A subprocess that executes function calls one at a time; it can be used from multiple threads."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -82,12 +82,16 @@ class Worker:
         progress: Callable[[str], object] = lambda text: None,
         wait: Callable[[float], object] = lambda seconds: None,
     ) -> Any:
-        """Call ``module:function`` with ``arguments`` in the process and return its result.
+        """Call a function in the subprocess and return its result.
 
-        ``progress`` receives each text that the function passes to :func:`report_progress`. ``wait`` is called every
-        :data:`WAIT_S` seconds with the duration of the call so far [s].
+        Args:
+            function: The function to call, as ``module:function``.
+            *arguments: Arguments of the function.
+            progress: Callback that receives each text that the function passes to :func:`report_progress`.
+            wait: Callback that is called every :data:`WAIT_S` seconds with the elapsed time of the call [s].
 
-        Raises :class:`WorkerError` if the function raises any exception, crashes, or exceeds the limits.
+        Raises:
+            WorkerError: The function raised an exception, crashed, or exceeded the limits.
         """
         with self._busy:
             last = ""
@@ -103,10 +107,10 @@ class Worker:
                 progress(content)
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End the process even if it is busy; an idle one has ``grace_s`` seconds to run its exit functions."""
+        """Terminate the process even if it is busy; an idle process has ``grace_s`` seconds to run exit functions."""
         process, self._process = self._process, None
         atexit.unregister(self.close)
-        if process is not None and self._owner == os.getpid():  # otherwise it belongs to the parent of a fork
+        if process is not None and self._owner == os.getpid():  # otherwise, the process belongs to the parent of a fork
             assert process.stdin is not None
             if grace_s > 0:
                 with suppress(OSError, subprocess.TimeoutExpired):
@@ -118,7 +122,7 @@ class Worker:
                 process.stdin.close()
 
     def _send(self, message: bytes) -> None:
-        """Send a call; restart the process if it has died since the last one."""
+        """Send a call, restarting the process if it has died since the last call."""
         for attempt in (1, 2):
             if self._process is not None and (self._owner != os.getpid() or self._process.poll() is not None):
                 self.close()
@@ -132,7 +136,7 @@ class Worker:
             except OSError:
                 self.close()
                 if attempt == 2:
-                    raise WorkerError("ended before it received the call") from None
+                    raise WorkerError("exited before it received the call") from None
 
     def _receive(self, last: str, wait: Callable[[], object]) -> tuple[str, Any]:
         deadline = time.monotonic() + self.limits.seconds
@@ -167,12 +171,12 @@ class Worker:
         threading.Thread(target=_run, args=arguments, daemon=True).start()
         process = started.get()
         if isinstance(process, OSError):
-            raise WorkerError(f"cannot be started ({process})")
+            raise WorkerError(f"could not be started ({process})")
         self._process = process
         atexit.register(self.close)
 
     def _last_output(self) -> str:
-        """Return the last line of the log as a clause of a message."""
+        """Return the last line of the log, formatted as a clause for an error message."""
         assert self._log is not None
         self._log.seek(0)
         lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
@@ -186,9 +190,10 @@ def _run(
     started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError],
     answers: queue.SimpleQueue[bytes | None],
 ) -> None:
-    """Start a process and pass on its answers, then None when it ends.
+    """Start a process, forward its responses, and send None when it exits.
 
-    The thread that starts a process must live as long as the process, because on Linux the process dies with it.
+    The thread that starts the process must live as long as the process, because on Linux the process dies with the
+    thread.
     """
     try:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment)
@@ -206,36 +211,36 @@ def _run(
 
 def _ending(code: int) -> str:
     if code >= 0:
-        return f"ended with exit code {code}"
+        return f"exited with code {code}"
     try:
         return f"crashed ({signal.Signals(-code).name})"
     except ValueError:
         return f"crashed (signal {-code})"
 
 
-_send_message: Callable[[str, Any], None] | None = None  # Send a message to the calling process; None outside a worker
+_send_message: Callable[[str, Any], None] | None = None  # Sends a message to the calling process; None outside a worker
 
 _exit_functions: list[Callable[[], object]] = []
 
 
 def report_progress(text: str) -> None:
-    """Report progress to the caller of a :class:`Worker`, which restarts its timeout. No effect outside a worker."""
+    """Report progress to the caller of a :class:`Worker`, which restarts its timeout; no effect outside a worker."""
     if _send_message is not None:
         _send_message("progress", text)
 
 
 def at_worker_exit(function: Callable[[], object]) -> None:
-    """Register a function to run when this worker's calls end, before the interpreter's own exit functions.
+    """Register a function that runs when this worker shuts down, before the interpreter's own exit functions.
 
-    MuJoCo's ``atexit`` function terminates the GL driver before all functions registered earlier; worlds must close
-    first.
+    MuJoCo's ``atexit`` function terminates the GL driver before functions registered earlier run, but worlds must be
+    closed before that.
     """
     if function not in _exit_functions:
         _exit_functions.append(function)
 
 
 def serve() -> None:
-    """Answer calls from standard input until it is closed; this is the main loop of a worker process."""
+    """Handle calls from standard input until it is closed; this is the main loop of a worker process."""
     global _send_message
     parent, memory = map(int, sys.argv[1:])
     _confine(parent, memory)
@@ -269,29 +274,32 @@ def _resolve(function: str) -> Callable[..., Any]:
 
 
 def _confine(parent: int, memory: int) -> None:
-    """Limit the memory of this process, leave interrupts to its parent, and die with the parent (on Linux)."""
+    """Limit the memory of this process, ignore interrupts, and (on Linux) exit when the parent process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform.startswith("linux"):
         import ctypes
 
-        ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG of prctl(2)
+        ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG for prctl(2)
     if os.name == "posix":
         import resource
 
         if os.getppid() != parent:
-            sys.exit("the parent process has ended")
+            sys.exit("the parent process has exited")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
         resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
 
 
 class WorkerPool:
-    """Several workers that call functions in parallel; results arrive in order of completion."""
+    """A pool of workers that call functions in parallel; results are returned in order of completion."""
 
     def __init__(
         self, size: int, limits: Limits, progress: Callable[[Any, str], object] = lambda key, text: None
     ) -> None:
-        """Start ``size`` threads; ``progress`` receives the key of a call and each text it reports, in any thread."""
+        """Start ``size`` worker threads.
+
+        ``progress`` receives the key of a call and each text that it reports; it may be called from any thread.
+        """
         self.size, self._progress, self._closed = size, progress, False
         self._calls: queue.SimpleQueue[tuple[Any, str, tuple[Any, ...], int] | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
@@ -301,15 +309,15 @@ class WorkerPool:
             thread.start()
 
     def submit(self, key: Any, function: str, *arguments: Any, attempts: int = 1) -> None:
-        """Queue a call of ``module:function``; if its process fails, it is called again, up to ``attempts`` times."""
+        """Queue a call to ``module:function``; if it fails, it is retried, up to ``attempts`` calls in total."""
         self._calls.put((key, function, arguments, attempts))
 
     def next(self) -> tuple[Any, Any]:
-        """Wait for a call to end; return its key, and its result or its :class:`WorkerError`."""
+        """Wait for a call to finish; return its key, and its result or :class:`WorkerError`."""
         return self._results.get()
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End all processes, including busy ones; idle ones have ``grace_s`` seconds to run exit functions."""
+        """Terminate all processes, even if they are busy; idle ones have ``grace_s`` seconds to run exit functions."""
         self._closed = True  # set first, so that calls interrupted now are not retried
         for worker in self._workers:
             self._calls.put(None)

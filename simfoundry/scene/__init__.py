@@ -1,1 +1,1 @@
-"""The lowered scene: everything explicit, no simulator defaults left to apply."""
+"""The lowered scene, in which everything is explicit and nothing is left to simulator defaults."""

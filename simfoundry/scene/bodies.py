@@ -1,4 +1,4 @@
-"""Build one rigid body from shapes and meshes: visuals, colliders, mass, center of mass and inertia."""
+"""Build a rigid body from shapes and meshes: its visuals, colliders, mass, center of mass and inertia."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
-"""Density [kg/m^3] of a piece without one, which is allowed if its body is fixed or has a given mass."""
+"""Density [kg/m^3] of a piece without a density, which is allowed if its body is fixed or has a specified mass."""
 
 LEAST_MASS = LEAST_MOMENT = 1e-15
-"""Least mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body."""
+"""Minimum mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body."""
 
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
@@ -49,9 +49,11 @@ TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
 
 
 class MeshUse(NamedTuple):
-    """Options for reading a mesh file: its ``scale``, whether it ``touches`` others, its solid and its colliders.
+    """Options for reading a mesh file.
 
-    ``solid`` is `given` if the body's mass is known already; the mesh then need not be closed.
+    ``scale`` converts the file's units to meters. ``touches`` is False for meshes without colliders. ``solid`` selects
+    the solid from which the mass is computed; it is `given` if the body's mass is already specified, in which case the
+    mesh does not need to be closed. ``collision`` selects the type of collider.
     """
 
     scale: float
@@ -62,10 +64,11 @@ class MeshUse(NamedTuple):
 
 @dataclass
 class BodyBuilder:
-    """Collects the parts of one link and computes the link. Raises :class:`MeshError` for unusable meshes.
+    """Collects the parts of a link and computes the link; raises :class:`MeshError` for unusable meshes.
 
-    If the link is ``weighed`` already, no part needs a volume. A ``draft`` shows no meshes and decomposes none: a mesh
-    without cached convex parts is represented by its hull, and the link ``is_approximate``.
+    If the mass of the link is already specified (``weighed``), its parts do not need a volume. In a ``draft``, meshes
+    are neither shown nor decomposed: a mesh without cached convex parts is represented by its hull, and
+    ``is_approximate`` is set.
     """
 
     name: str
@@ -82,7 +85,7 @@ class BodyBuilder:
     report: Callable[[str], object] = lambda said: None
 
     def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
-        """Add a primitive posed in the link; ``show`` is False if a mesh is shown in its place."""
+        """Add a primitive at a pose in the link frame; ``show`` is False if a mesh is shown instead."""
         body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
             self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
@@ -99,7 +102,10 @@ class BodyBuilder:
     def add_mesh(
         self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
     ) -> None:
-        """Add a mesh file posed in the link: all of it is visual; one solid gives its mass and its colliders."""
+        """Add a mesh file at a pose in the link frame.
+
+        The entire mesh is used as the visual; its mass and colliders are computed from a single solid.
+        """
         solid: Literal["exact", "hull", "given"] = "given" if self.weighed else self.body.solid
         body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
         if show and _use(part) != "collision":
@@ -116,7 +122,7 @@ class BodyBuilder:
         self._show(name, self._mesh_body(path, MeshUse(scale, touches=False)).pieces, IDENTITY, None)
 
     def _mesh_body(self, path: Path, use: MeshUse) -> MeshBody:
-        from simfoundry.scene import mesh_bodies  # imported late: most scenes that are checked have no mesh
+        from simfoundry.scene import mesh_bodies  # lazy import because most scenes have no meshes
 
         if self.draft:
             return mesh_bodies.draft_body(path, use, self.cache)
@@ -138,7 +144,7 @@ class BodyBuilder:
             return self._finished(total, np.array(inertial.com), np.array(inertial.inertia)[TENSOR], fixed)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
-        if total is not None or fixed:  # a given mass is only distributed over the parts; a fixed body needs no mass
+        if total is not None or fixed:  # a specified mass is distributed over the parts; a fixed body requires no mass
             densities = [USUAL_DENSITY if d is None else d for d in densities]
         if any(d is None for d in densities):
             raise MeshError(
@@ -163,7 +169,7 @@ class BodyBuilder:
         least = _check_inertia(link)
         if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
-            raise MeshError("SF104", f"{shown}, which is too small for a simulator", "check its mass, sizes and units")
+            raise MeshError("SF104", f"{shown}, which is too small for a simulator", "check its mass, size and units")
         return link
 
     def _weigh(self, name: str, solid: mass.SolidMoments, X_LG: Pose, part: PartSpec | None) -> None:
@@ -186,7 +192,7 @@ class BodyBuilder:
         return Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
-        """Return the color: the part's, the body's, the mesh's own, the material's, or gray, in this order."""
+        """Return the color of the part, the body, the mesh file or the material, in this order; otherwise gray."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
                 return frozen((*color, 1.0)[:4])
@@ -194,29 +200,33 @@ class BodyBuilder:
 
 
 def _use(part: PartSpec | None) -> str:
-    """Return the use of a part: by default both visual and collision."""
+    """Return the use of a part; by default, it is both a visual and a collider."""
     return "both" if part is None else part.use
 
 
 def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
-    """Return names for the convex parts of a piece: numbered, unless there is one and no visual has its name."""
+    """Return names for the convex parts of a piece.
+
+    The names are numbered unless there is only one part and no visual has the same name.
+    """
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
-    """Return the color stored in a mesh; textures are used unchanged."""
+    """Return the color stored in a mesh; white for textured meshes, so that the texture is unchanged."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
 
 
 def _check_inertia(link: Link) -> float:
-    """Return the smallest principal moment.
+    """Return the smallest principal moment of inertia of a link.
 
-    Raises unless all moments are positive and none exceeds the sum of the other two, as in any real body.
+    Raises :class:`MeshError` unless all moments are positive and none exceeds the sum of the other two, as required for
+    a physical body.
     """
     moments = sorted(link.principal[0].tolist())
     if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
-        message = f"`{link.name}` has the moments of inertia {shown}, which no rigid body can have"
+        message = f"`{link.name}` has moments of inertia {shown}, which are impossible for a rigid body"
         raise MeshError("SF104", message, "check `inertial`")
     return float(moments[0])
 
@@ -228,7 +238,7 @@ CUT_VERSION = "cut shape 1"
 
 
 class ShapeBody(NamedTuple):
-    """A shape in its own frame: the ``visual``, the ``solid`` of density 1, and the ``colliders``.
+    """The body of a shape in its own frame: a ``visual``, a ``solid`` with density 1, and ``colliders``.
 
     ``error`` [m] is the maximum distance between the colliders and the shape.
     """
@@ -243,8 +253,8 @@ class ShapeBody(NamedTuple):
 def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
     """Return the body of a shape; raises :class:`MeshError` for a profile or outline that encloses no area.
 
-    The decomposition of a lathe or prism takes up to 40 ms and loads two large libraries; ``cache`` keeps the parts
-    between runs.
+    Decomposing a lathe or prism takes up to 40 ms and imports two large libraries; ``cache`` stores the parts for later
+    runs.
     """
     geometry: Geometry
     match shape:
@@ -306,12 +316,12 @@ def _pack(outline: Array, parts: list[tuple[Array, Faces]], error: float) -> byt
 
 
 def _unpack(data: bytes) -> _Cut | None:
-    """Read a cache entry; return None if it is damaged, so that it is computed again."""
+    """Read a cache entry; return None if it is corrupt, so that it is recomputed."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             ends = np.cumsum(arrays["counts"], axis=0)[:-1]
             corners, faces = (np.split(arrays[name], ends[:, k]) for k, name in enumerate(("corners", "faces")))
             parts: tuple[Mesh, ...] = tuple(map(closed_mesh, corners, faces))
             return arrays["outline"], parts, float(arrays["error"])
-    except Exception:  # a damaged archive raises OSError, KeyError, ValueError, or errors of zipfile and zlib
+    except Exception:  # a corrupt archive raises OSError, KeyError, ValueError, or errors from zipfile and zlib
         return None

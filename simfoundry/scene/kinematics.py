@@ -1,4 +1,4 @@
-"""Kinematics of an object: poses of its links, its trees, effective inertias, and pairs of links that can touch."""
+"""Object kinematics: link poses, kinematic trees, effective inertias, and pairs of links that can touch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from simfoundry.scene.model import Joint, JointType, Link, SceneObject
 
 
 def joint_transform(joint: Joint, position: float | Pose) -> Pose:
-    """Pose of the child link in its own zero-position frame at ``position``: [rad or m], or a ball or free motion."""
+    """Return the pose of the child link relative to its pose at position zero.
+
+    ``position`` [rad or m] is the position of the joint, or the motion of a ball or free joint.
+    """
     if isinstance(position, Pose):
         return position
     match joint.type:
@@ -25,9 +28,9 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
 
 
 def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = None) -> dict[str, Pose]:
-    """Pose ``X_OL`` of every link in the object's frame.
+    """Return the pose ``X_OL`` of every link in the object's frame, keyed by link name.
 
-    ``joints`` overrides positions [rad or m], and motions of ball and free joints, by joint name.
+    ``joints`` overrides joint positions [rad or m] and the motions of ball and free joints, by joint name.
     """
     poses = {item.root.name: IDENTITY}
     for link in item.links[1:]:
@@ -41,10 +44,10 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Links of an object connected by constraining joints; the first is the root.
+    """The links of an object that are connected by constraining joints; the first link is the root.
 
-    ``free_joint`` is the free joint above the root, None if the root is the object's own; ``joints`` are those within
-    the tree. ``X_WT`` is the pose of the root link's frame in the world.
+    ``free_joint`` is the free joint above the root, or None if the root is the object's own root. ``joints`` are the
+    joints within the tree. ``X_WT`` is the pose of the root link's frame in the world.
     """
 
     owner: SceneObject
@@ -55,12 +58,12 @@ class Tree:
 
     @property
     def root(self) -> Link:
-        """First link: the object's root link, or the child of a free joint."""
+        """The first link, which is the object's root link or the child of a free joint."""
         return self.links[0]
 
     @property
     def name(self) -> str:
-        """Qualified name of the root: the object's own name, or ``object.link``."""
+        """The qualified name of the root: the name of the object, or ``object.link``."""
         return self.owner.qualified(self.root.name)
 
     @property
@@ -70,9 +73,15 @@ class Tree:
 
 
 def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Motions of an object's free joints, by name, from the poses ``X_OT`` of the links below them, by name.
+    """Compute the motions of an object's free joints from the poses of the links below them.
 
-    ``positions`` are those of its other joints.
+    Args:
+        item: The object.
+        positions: Positions of the object's other joints, by joint name.
+        X_OT: Poses of the links below the free joints in the object's frame, by link name.
+
+    Returns:
+        The motion of each free joint, by joint name.
     """
     known, motions = dict(positions), dict[str, Pose]()
     for joint in (tree.free_joint for tree in trees(item)):
@@ -83,7 +92,7 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
-    """Trees of an object in the order of their roots; a single one if it has no free joint."""
+    """Return the kinematic trees of an object in the order of their roots; one tree if it has no free joints."""
     free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)
@@ -105,7 +114,7 @@ def trees(item: SceneObject) -> tuple[Tree, ...]:
 
 
 def effective_inertias(tree: Tree) -> dict[str, float]:
-    """Inertia felt by a force at each one-axis joint in the initial state [kg m^2 or kg], by joint name.
+    """Return the effective inertia at each single-axis joint in the initial state [kg m^2 or kg], by joint name.
 
     All other joints move freely, without friction or motors, so this is the smallest possible value.
     """
@@ -129,11 +138,11 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
 
 
 _Column = tuple[Joint | None, Array, Array, bool]
-"""One degree of freedom: the joint, or None for the free root; a point on its axis, the axis, and whether it slides."""
+"""A degree of freedom: its joint (None for the free root), a point on its axis, the axis, and True if it slides."""
 
 
 def _columns(tree: Tree) -> list[_Column]:
-    """Degrees of freedom of a tree, in the object's frame."""
+    """Return the degrees of freedom of a tree, expressed in the object's frame."""
     X_OL = link_poses(tree.owner)
     columns: list[_Column] = []
     if not tree.fixed:
@@ -149,7 +158,7 @@ def _columns(tree: Tree) -> list[_Column]:
 
 
 def _carried(tree: Tree) -> dict[str, frozenset[str]]:
-    """Joints between the root and each link, by link."""
+    """Return the joints between the root and each link, by link name."""
     above: dict[str, frozenset[str]] = {tree.root.name: frozenset()}
     for link in tree.links[1:]:
         joint = tree.owner.joint_above[link.name]
@@ -158,7 +167,7 @@ def _carried(tree: Tree) -> dict[str, frozenset[str]]:
 
 
 def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Pairs of links of an object without contacts, by name, in the order of the links."""
+    """Return the pairs of links in an object whose contacts are disabled, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
     welded = weld_groups(item)
@@ -178,7 +187,7 @@ def excluded_link_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
-    """Pairs of links of an object that can be in contact, by name, in the order of the links."""
+    """Return the pairs of links in an object that can be in contact, by name, in the order of the links."""
     if len(item.links) == 1:
         return ()
     silent = set(excluded_link_pairs(item))
@@ -187,7 +196,7 @@ def contact_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 
 def weld_groups(item: SceneObject) -> dict[str, str]:
-    """For each link, the first link of the group that is welded to it."""
+    """Map each link to the first link in the group of links welded to it."""
     groups: dict[str, str] = {}
     for link in item.links:
         joint = item.joint_above.get(link.name)

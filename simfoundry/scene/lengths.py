@@ -1,4 +1,4 @@
-"""Format lengths and coordinates for people."""
+"""Format lengths and coordinates in human-readable form."""
 
 from __future__ import annotations
 

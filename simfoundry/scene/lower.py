@@ -1,6 +1,6 @@
 """Lower a SceneSpec to a Scene: all defaults resolved, frames composed, masses and convex parts computed.
 
-The same documents give the same scene on every machine. Errors in a mesh are reported at the line that names it.
+Equal documents give equal scenes on every machine. Errors in a mesh are reported at the line that refers to it.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ from simfoundry.spec.yaml.write import to_data
 
 @dataclass
 class Lowering:
-    """State shared by the passes of one lowering: the document, the options, and the approximate objects.
+    """The state shared by the passes of a lowering: the document, the options, and the approximate objects.
 
-    ``fetch`` allows downloads of robot models. A ``draft`` reads no meshes: a mesh without convex parts in the
-    ``cache`` is represented by its hull, and its object is in ``approximate``. In a draft, a placement that depends on
-    such an object may fail without an error; ``unplaced`` are the objects whose pose is therefore uncertain.
+    ``fetch`` allows robot models to be downloaded. In a ``draft``, meshes are not decomposed: a mesh without convex
+    parts in the ``cache`` is represented by its hull, and its object is added to ``approximate``. A placement that
+    depends on such an object may then fail without an error; ``unplaced`` contains the objects whose poses are
+    therefore uncertain.
     """
 
     loaded: Loaded
@@ -56,13 +57,13 @@ class Lowering:
 
     @property
     def spec(self) -> SceneSpec:
-        """Content of the document."""
+        """The content of the document."""
         assert isinstance(self.loaded.spec, SceneSpec)
         return self.loaded.spec
 
     @property
     def places(self) -> dict[str, Place]:
-        """Placements still to be solved into poses, by object."""
+        """The placements to be solved, by object name."""
         return {name: item.place for name, item in self.spec.objects.items() if item.place is not None}
 
     def run(self, passes: tuple[Pass, ...]) -> Scene:
@@ -81,15 +82,15 @@ Pass = Callable[[Lowering, Scene], Scene]
 def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
     """Lower a checked scene document; raises :class:`SpecError` with every finding.
 
-    ``cache`` keeps convex decompositions between runs. ``progress`` is called with a name, the number of finished
-    objects, and their total number. Without ``fetch`` no robot model is downloaded; a robot whose model is missing is
-    left out.
+    ``cache`` stores convex decompositions for later runs. ``progress`` is called with a name, the number of finished
+    objects, and the total number of objects. Robot models are downloaded only if ``fetch`` is set; robots whose models
+    are missing are left out.
     """
     return Lowering(loaded, cache, progress, fetch).run(PASSES)
 
 
 def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
-    """Load, check and lower the scene document at ``path``, as :func:`lower` does; raises :class:`SpecError`."""
+    """Load, check and lower the scene document at ``path`` (see :func:`lower`); raises :class:`SpecError`."""
     from simfoundry.spec.load import load_scene
 
     return lower(load_scene(path), cache, progress, fetch)
@@ -101,9 +102,10 @@ def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None
 def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the objects without their placements; raises :class:`SpecError` with every finding.
 
-    Objects placed inside others, and all objects that these depend on, come first: whether they fit is then known
-    before the meshes of the remaining objects are decomposed, which may take minutes, and often before their own are.
-    If one does not fit, the remaining meshes are checked without decomposition.
+    Objects placed inside others are lowered first, together with all objects that they depend on. This makes it
+    possible to detect objects that do not fit before the remaining meshes are decomposed, which may take minutes, and
+    often even before their own meshes are decomposed. If an object does not fit, the remaining meshes are checked
+    without decomposition.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, len(spec.objects), draft=lowering.draft)
@@ -116,7 +118,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
         found[name] = work.lower(name, spec.objects[name], spec)
         work.done += 1
         if first and len(found) == len(first) and not work.findings and not misfits:
-            # These objects depend on no others, so their placements can be solved before the rest is lowered.
+            # These objects do not depend on any others, so their placements can be solved before the rest is lowered.
             objects = {k: item for k, item in found.items() if item is not None}
             places = {k: place for k, place in lowering.places.items() if k in objects}
             misfits = _findings(lowering, place_all(objects, places, viewer(spec))[1])
@@ -128,7 +130,7 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
-    """Objects placed `inside` another and all objects that these depend on, in the order of the spec."""
+    """Return the objects placed `inside` others, and all objects that they depend on, in the order of the spec."""
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     todo = [name for name, place in places.items() if place.inside is not None]
     seen = set[str]()
@@ -141,7 +143,7 @@ def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
 
 
 def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
-    """Findings for `inside` placements that certainly fail, before uncached meshes are decomposed."""
+    """Return findings for `inside` placements that are certain to fail, before uncached meshes are decomposed."""
     from simfoundry.scene.misfits import certain_misfits, uncut
 
     spec, loaded = lowering.spec, lowering.loaded
@@ -159,19 +161,19 @@ def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnos
 
 
 def _findings(lowering: Lowering, errors: Mapping[str, PlaceError]) -> list[Diagnostic]:
-    """Findings for placements that fail, at the keys that state them."""
+    """Return findings for placements that fail, located at the keys that specify them."""
     return [lowering.loaded.finding("SF210", ("objects", k, "place"), e.message, e.hint) for k, e in errors.items()]
 
 
 def place_objects(lowering: Lowering, scene: Scene) -> Scene:
-    """Solve every `place` into a pose."""
+    """Solve every `place` and replace it with a pose."""
     places = lowering.places
     if not places:
         return scene
     solved, errors = place_all(scene.by_name, places, scene.viewer)
     for name, item in solved.items():
         if item.variants and name in places and not errors:
-            # Each variant gets its own solved pose, with all other objects unchanged.
+            # Solve for the pose of each variant separately, with all other objects unchanged.
             stood = [place_all(solved | {name: v}, {name: places[name]}, scene.viewer) for v in item.variants]
             solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
             errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
@@ -185,9 +187,10 @@ def place_objects(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
-    """Collect the excluded pairs of links: within an object in the object, between objects in the scene.
+    """Collect the pairs of links whose contacts are disabled.
 
-    Pairs between objects use qualified link names, each pair once.
+    Pairs within an object are stored in the object. Pairs between objects are stored once in the scene, with qualified
+    link names.
     """
     by_name = dict(scene.by_name)
 
@@ -210,7 +213,7 @@ def exclude_contacts(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the robots whose models are available; a robot without a model is left out with its mounted cameras."""
+    """Lower the robots whose models are available; leave out robots without models, along with their cameras."""
     spec = lowering.spec
     if not spec.robots:
         return scene
@@ -224,12 +227,12 @@ def lower_robots(lowering: Lowering, scene: Scene) -> Scene:
         except NoModelError as error:
             lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
-            lost += [LeftOut(f"cameras.{n}", f"it is mounted on `{name}`, whose model was not found") for n in carried]
+            lost += [LeftOut(f"cameras.{n}", f"it is mounted on `{name}`, which has no model") for n in carried]
     return replace(scene, robots=tuple(found), left_out=(*scene.left_out, *lost))
 
 
 def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower the cameras; leave out those mounted on a link that the selected variant lacks."""
+    """Lower the cameras; leave out cameras mounted on a link that does not exist in the selected variant."""
     fixed, mounted, lost = [], [], []
     robots = {robot.name for robot in scene.robots}
     for name, spec in lowering.spec.cameras.items():
@@ -247,19 +250,19 @@ def lower_cameras(lowering: Lowering, scene: Scene) -> Scene:
 
 
 def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
-    """Lower lights and background, and leave out unusable textures of objects."""
+    """Lower lights and the background, and leave out unusable object textures."""
     spec = lowering.spec
     lights = tuple(_light(name, light) for name, light in spec.lights.items())
     scene = replace(scene, lights=lights, left_out=(*scene.left_out, *_plain(lowering.loaded, spec)))
     if spec.background is None:
         return scene
-    from simfoundry.scene.mesh_bodies import lower_background  # loads the readers of meshes and splats
+    from simfoundry.scene.mesh_bodies import lower_background  # imports the mesh and splat readers
 
     return replace(scene, background=lower_background(lowering.loaded, spec.background))
 
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
-    """Keep the document with its relations, for judging the scene and for targets that embed the document."""
+    """Keep the document and its relations, for evaluating the scene and for targets that embed the document."""
     relations = tuple(Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
     source = Source.of(_file_in_project(lowering.loaded), to_data(lowering.spec))
     return replace(scene, relations=relations, source=source)
@@ -273,9 +276,10 @@ PASSES: tuple[Pass, ...] = (*OBJECT_PASSES, lower_robots, lower_cameras, lower_s
 
 
 def viewer(spec: SceneSpec) -> Pose | None:
-    """Frame, x away and y left, that defines left, right, front and behind; None for the world frame.
+    """Return the frame that defines left, right, front and behind, or None for the world frame.
 
-    A robot looks along the x axis of its base, and so does a camera mounted on it.
+    In this frame, x points away from the viewer and y to its left. A robot looks along the x axis of its base, as does
+    a camera mounted on the robot.
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
@@ -285,7 +289,7 @@ def viewer(spec: SceneSpec) -> Pose | None:
 
 
 def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
-    """Textures of objects that cannot be used."""
+    """Yield the object textures that cannot be used, with reasons."""
     from simfoundry.assets.textures import document_faults
 
     for (_, name, _), fault in document_faults(loaded, spec):
@@ -298,7 +302,7 @@ def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:
-    """Camera with resolved principal point and pose."""
+    """Return a camera with resolved principal point and pose."""
     width, height = spec.size
     cx = (width - 1) / 2 if spec.cx is None else spec.cx
     cy = (height - 1) / 2 if spec.cy is None else spec.cy
@@ -319,6 +323,6 @@ def _light(name: str, spec: LightSpec) -> Light:
 
 
 def _file_in_project(loaded: Loaded) -> str:
-    """Path of a document relative to its project, equal on every machine."""
+    """Return the path of a document relative to its project, which is the same on every machine."""
     path = loaded.path.resolve()
     return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name

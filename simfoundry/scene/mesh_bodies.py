@@ -1,4 +1,4 @@
-"""Mesh files as bodies, decomposed for a compile or looked up in the cache for a draft, and as backgrounds."""
+"""Bodies and backgrounds from mesh files; meshes are decomposed for a build, or looked up in the cache for a draft."""
 
 from __future__ import annotations
 
@@ -36,9 +36,11 @@ from simfoundry.spec.models.scene import BackgroundSpec
 
 
 class MeshBody(NamedTuple):
-    """A mesh file: its visual ``pieces``, its ``solid`` of density 1 unless the mass is known, and its colliders.
+    """A body created from a mesh file.
 
-    It ``is_approximate`` if its hull stands in for unknown convex parts.
+    ``pieces`` are its visuals. ``solid`` is a solid with density 1, or None if the mass is already specified.
+    ``colliders`` are posed in the mesh frame, and ``error`` [m] is their maximum distance from the mesh.
+    ``is_approximate`` is True if the hull is used in place of unknown convex parts.
     """
 
     pieces: tuple[MeshPart, ...] = ()
@@ -49,7 +51,7 @@ class MeshBody(NamedTuple):
 
 
 def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[str], object]) -> MeshBody:
-    """Read a mesh file and decompose it into convex parts, cached in ``cache``; raises :class:`MeshError`."""
+    """Read a mesh file and decompose it into convex parts, using ``cache``; raises :class:`MeshError`."""
     pieces = read_mesh(path, use.scale)
     if not use.touches:
         return MeshBody(pieces)
@@ -66,7 +68,7 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
 
 
 def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
-    """Return a mesh file's solid, and its cached convex parts or its hull, without decomposing it.
+    """Return the solid of a mesh file and its cached convex parts (or its hull), without decomposing the mesh.
 
     Raises the same :class:`MeshError` as :func:`read_body`.
     """
@@ -97,7 +99,7 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
 
 
 def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
-    """Primitive that represents a mesh, and its pose in the mesh frame."""
+    """Return the geometry of a primitive fitted to a mesh, and its pose in the mesh frame."""
     turn = np.eye(4)
     turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
     X_GP = Pose.from_matrix(turn)
@@ -111,7 +113,7 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
-    """Solid that defines the mass, and the faces oriented outward."""
+    """Return the solid that defines the mass, and the faces oriented outward."""
     if how == "hull":
         outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
         return mass.mesh(*hull(vertices, limit=len(vertices))), outward
@@ -140,7 +142,7 @@ def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:
 
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
-    """Visual pieces of a mesh file: textures are used unchanged, and pieces without a color are gray."""
+    """Yield the visual pieces of a mesh file; textures are used unchanged, and pieces without a color are gray."""
     pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         faces = np.array(piece.faces, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Mesh and texture files, named by their content so that equal ones are written once."""
+"""Mesh and texture files, named by their content so that identical files are written only once."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from simfoundry.geometry.shapes import Mesh
 
 
 def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:
-    """Return a mesh as Wavefront OBJ, in meters, with its texture coordinates (v up) if it has any.
+    """Return a mesh as a Wavefront OBJ file in meters, including texture coordinates (v up) if the mesh has any.
 
-    ``material_file`` names an adjacent MTL file whose only material, ``skin``, covers every face.
+    ``material_file`` is the name of an adjacent MTL file with a single material, ``skin``, which is assigned to every
+    face.
     """
     parts = [] if material_file is None else [f"mtllib {material_file}\n"]
-    # Adding zero turns -0.0 into 0.0, which would print differently.
+    # Add zero to turn -0.0 into 0.0, because the two are printed differently.
     parts.append(_rows("v %.12g %.12g %.12g\n", np.asarray(mesh.vertices) + 0.0))
     corners = np.asarray(mesh.faces, dtype=np.int64) + 1
     if mesh.uv is not None:
@@ -42,9 +43,10 @@ def has_texture(mesh: Mesh) -> bool:
 
 
 def obj_with_material(mesh: Mesh, name: str = "") -> dict[str, bytes]:
-    """Return an OBJ, with MTL and PNG if there is a texture, by file name; the OBJ comes first.
+    """Return an OBJ file, along with MTL and PNG files if the mesh has a texture, keyed by file name.
 
-    The files are called ``name``; by default, mesh and texture are named by their content.
+    The OBJ file comes first. The base name of the files is ``name``; by default, mesh and texture are named by their
+    content.
     """
     digest = name or mesh.digest
     if mesh.texture is None or mesh.uv is None:

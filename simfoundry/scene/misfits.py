@@ -1,7 +1,7 @@
-"""Infeasible `inside` placements, detected on undecomposed meshes before a convex decomposition that takes minutes.
+"""Detect infeasible `inside` placements using the original meshes, before convex decomposition, which takes minutes.
 
-The convex parts of a mesh contain the mesh and fill its shallow hollows. So if an object's mesh collides with that of
-its container at every height at which the container would have walls around it, their convex parts collide as well.
+The convex parts of a mesh contain the mesh and fill its shallow hollows. If an object's mesh collides with the mesh of
+its container at every height at which the container has walls around the object, their convex parts collide as well.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from simfoundry.scene.place import PlaceError, approach, misfit
 from simfoundry.spec.models.scene import Place
 
 POINTS = 600
-"""Number of surface points whose plumb lines are tested: one every few millimeters on a hand-sized mesh."""
+"""Number of surface points at which vertical lines are tested; one every few millimeters on a hand-sized mesh."""
 
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 """Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square."""
 
 RESOLUTION = 0.02
-"""Depth, as a share of the longest side, below which a decomposition fills hollows: CoACD splits only hollows that are
+"""Maximum depth of hollows that a decomposition may fill, as a fraction of the longest side: CoACD splits only hollows
 deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`)."""
 
 
 def uncut(item: SceneObject) -> SceneObject:
-    """Return the object with its visual meshes as colliders, in place of their hulls."""
+    """Return the object with its visual meshes as colliders instead of their hulls."""
     return replace(item, links=tuple(_uncut_link(link) for link in item.links))
 
 
@@ -48,9 +48,10 @@ def _uncut_link(link: Link) -> Link:
 def certain_misfits(
     objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None, meshes: Collection[str]
 ) -> dict[str, PlaceError]:
-    """Return the objects that certainly fit at no height inside their containers; ``meshes`` are :func:`uncut`.
+    """Return errors for the objects that certainly do not fit inside their containers at any height.
 
-    Only objects whose container has a pose, or stands on an object that has one, are tested.
+    An object is tested only if its container has a pose, or is placed on an object that has a pose. ``meshes`` are the
+    names of objects whose meshes are used without decomposition (see :func:`uncut`).
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     found = {}
@@ -60,7 +61,7 @@ def certain_misfits(
         container = place.inside.partition(".")[0]
         if container not in objects:
             continue
-        # It moves with its container, so the container's height does not matter.
+        # The object moves with its container, so the container's height does not matter.
         stands = {**placed, container: objects[container]}
         if place.xy is not None and container in places:
             continue
@@ -75,9 +76,9 @@ def certain_misfits(
 
 
 def _is_blocked(held: Hulls, container: Hulls, slack: float) -> bool:
-    """True if the object collides with the container at every height with walls around its base.
+    """Return True if the object collides with the container at every height at which there are walls around its base.
 
-    Free intervals of heights shorter than ``slack`` [m] are ignored.
+    Collision-free height intervals shorter than ``slack`` [m] are ignored.
     """
     low, high = container.extent(np.array([0.0, 0.0, 1.0]))
     bottom, top = held.extent(np.array([0.0, 0.0, 1.0]))
@@ -91,7 +92,7 @@ def _is_blocked(held: Hulls, container: Hulls, slack: float) -> bool:
 
 
 def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float]]:
-    """Intervals of lifts [m] that move a point of the object into a solid part of the container."""
+    """Yield the intervals of lifts [m] that move a point on the object into a solid part of the container."""
     corners = container.corners[container.triangles]
     part = container.part[container.triangles[:, 0]]
     flat = corners[:, :, :2]
@@ -101,13 +102,13 @@ def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float
         met, heights = _crossings(corners[near], point[:2])
         for one in set(part[near][met].tolist()):
             here = np.sort(heights[part[near][met] == one])
-            if len(here) % 2 == 0:  # else the line grazes an edge, or the mesh is open
+            if len(here) % 2 == 0:  # otherwise, the line grazes an edge, or the mesh is open
                 for bottom, top in here.reshape(-1, 2) - point[2]:
                     yield float(bottom), float(top)
 
 
 def _surface_points(shape: Hulls) -> Array:
-    """:data:`POINTS` points distributed over the faces of a shape, and as many of its corners [m], (n, 3)."""
+    """Return :data:`POINTS` points [m] distributed over the faces of a shape, and some of its corners, (n, 3)."""
     corners = shape.corners[:: max(1, len(shape.corners) // POINTS)]
     if not len(shape.triangles):
         return corners
@@ -122,11 +123,15 @@ def _surface_points(shape: Hulls) -> Array:
 
 
 def _crossings(triangles: Array, point: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Triangles (k, 3, 3) that the plumb line through ``point`` hits: a mask (k,) and the heights of the hits [m]."""
+    """Intersect the vertical line through ``point`` with triangles, shape (k, 3, 3).
+
+    Returns:
+        A mask of the triangles that are hit, shape (k,), and the heights of the hits [m].
+    """
     a, b, c = (triangles[:, k, :2] for k in range(3))
     u, v, w = b - a, c - a, point - a
     area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-    steep = np.abs(area) < 1e-16  # a line hits the neighbors of a vertical triangle instead
+    steep = np.abs(area) < 1e-16  # the line hits the neighbors of a vertical triangle instead
     area = np.where(steep, 1.0, area)
     s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / area
     t = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / area

@@ -1,4 +1,4 @@
-"""The lowered scene: the input of every backend, which makes no decisions of its own.
+"""The lowered scene, which is the input to every backend; backends make no modeling decisions of their own.
 
 Conventions: SI units; right-handed world, z up; quaternions wxyz; ``X_AB`` is the pose of B in A; full extents, never
 half extents; cylinders and capsules along their local z; camera frames are OpenCV's (x right, y down, z forward). Every
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A visual: a geometry posed in its link and visible to cameras, with a color ``rgba`` in [0, 1], shape (4,).
+    """A geometry that is visible to cameras, posed in its link.
 
-    The texture of a mesh is multiplied by ``rgba``.
+    ``rgba`` is its color in [0, 1], shape (4,); the texture of a mesh is multiplied by it.
     """
 
     name: str
@@ -43,10 +43,11 @@ class Visual:
 class Collider:
     """A collider: a primitive or a *convex* mesh posed in its link.
 
-    ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
-    (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way. ``torsional_friction`` and
-    ``rolling_friction`` [m] are the maximum torques against spinning and rolling, divided by the normal force; a pair
-    uses the larger of its two. ``material`` names the material of the surface; it is empty if the spec gives none.
+    ``friction`` is the Coulomb coefficient of the surface; a contact uses the geometric mean of the two surfaces
+    (:func:`pair_friction`). ``restitution`` in [0, 1] is combined in the same way. ``torsional_friction`` and
+    ``rolling_friction`` [m] are the maximum torques that resist spinning and rolling, divided by the normal force; a
+    contact uses the larger of the two values. ``material`` is the name of the surface material, or empty if the spec
+    does not specify one.
     """
 
     name: str
@@ -63,9 +64,10 @@ class Collider:
 class Link:
     """A rigid body of an object.
 
-    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the center of mass in link
-    axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is the maximum distance between the surface
-    of its colliders and the shapes that they approximate; 0 if they are exact.
+    ``mass`` is in kg. ``com`` [m] is the center of mass in the link frame, shape (3,). ``inertia`` [kg m^2] is taken
+    about the center of mass and expressed in link axes, shape (3, 3), symmetric positive definite. ``collision_error``
+    [m] is the maximum distance between the surfaces of the colliders and the shapes that they approximate; 0 if the
+    colliders are exact.
     """
 
     name: str
@@ -78,12 +80,12 @@ class Link:
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:
-        """Principal moments and axes of its inertia, see :func:`principal_inertia`."""
+        """The principal moments and axes of the inertia; see :func:`principal_inertia`."""
         return principal_inertia(self.inertia)
 
 
 class JointType(StrEnum):
-    """The kind of motion between a child link and its parent."""
+    """The type of motion between a child link and its parent."""
 
     FIXED = "fixed"
     REVOLUTE = "revolute"
@@ -95,23 +97,26 @@ class JointType(StrEnum):
 
 @dataclass(frozen=True)
 class Mimic:
-    """Coupling to ``joint`` of the same object: the position is ``multiplier`` times that joint's plus ``offset``."""
+    """A coupling to another ``joint`` of the same object.
+
+    The position of the coupled joint is ``multiplier * position + offset``, with the position of that other joint.
+    """
 
     joint: str
     multiplier: float = 1.0
     offset: float = 0.0
 
     def position(self, leader: float) -> float:
-        """Position of the follower [rad or m] when its leader is at ``leader`` [rad or m]."""
+        """Return the position of the follower [rad or m] when its leader is at ``leader`` [rad or m]."""
         return self.multiplier * leader + self.offset
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A motor in a joint: ``stiffness * (target - position) - damping * velocity``, at most ``force_limit``.
+    """A joint motor that applies ``stiffness * (target - position) - damping * velocity``, up to ``force_limit``.
 
-    ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m]; ``force_limit`` [N m or N]
-    is None if unlimited.
+    The units are: ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m], and
+    ``force_limit`` [N m or N], which is None if the force is unlimited.
     """
 
     stiffness: float
@@ -121,20 +126,20 @@ class Drive:
 
 
 ClosedEnd = Literal["lower", "upper"]
-"""Name of one of a joint's limits."""
+"""The name of a joint limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Joint:
     """A joint between two links of one object.
 
-    ``X_PC`` is the pose of the child link's frame in the parent's at position zero; the joint acts at the child's
-    origin along ``axis`` (unit, child frame, shape (3,)). ``limits`` [rad or m] is None for an unlimited joint;
-    ``damping`` [N m s/rad or N s/m]; ``friction`` is the Coulomb friction torque or force [N m or N]; ``armature`` [kg
-    m^2 or kg]; ``position`` [rad or m] is the initial state of a joint with one axis. The initial state of a ball or
-    free joint is ``motion``: the pose of the child's frame relative to its frame at position zero. A free joint
-    constrains nothing: its child is a separate body, posed relative to the parent. ``closed`` is the limit at which the
-    joint counts as closed; None means zero, or the limit nearest to zero.
+    ``X_PC`` is the pose of the child link's frame in the parent link's frame at position zero. The joint acts at the
+    child's origin along ``axis`` (unit vector in the child frame, shape (3,)). ``limits`` [rad or m] is None for an
+    unlimited joint. ``damping`` is in N m s/rad or N s/m, ``friction`` is the Coulomb friction torque or force [N m or
+    N], and ``armature`` is in kg m^2 or kg. The initial state of a single-axis joint is ``position`` [rad or m]; the
+    initial state of a ball or free joint is ``motion``, the pose of the child's frame relative to its pose at position
+    zero. A free joint does not constrain its child, which is a separate body posed relative to the parent. ``closed``
+    is the limit at which the joint counts as closed; None means position zero, or the limit nearest to zero.
     """
 
     name: str
@@ -155,7 +160,7 @@ class Joint:
 
     @property
     def closed_position(self) -> float:
-        """Closed position [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
+        """The closed position [rad or m]: the limit in ``closed``; by default, zero or the limit nearest to zero."""
         low, high = self.limits or (0.0, 0.0)
         if self.closed is not None:
             return low if self.closed == "lower" else high
@@ -163,20 +168,21 @@ class Joint:
 
     @property
     def has_axis(self) -> bool:
-        """True if its state is one number: it rotates about its axis or slides along it."""
+        """True if the joint state is a single number, because the joint rotates about or slides along one axis."""
         return self.type in (JointType.REVOLUTE, JointType.PRISMATIC, JointType.CONTINUOUS)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A named object: one link, or a tree of links and joints whose first link is the root.
+    """A named object: a single link, or a tree of links and joints whose first link is the root.
 
-    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other has
-    a free root. Links are in topological order: a parent comes before its children. ``no_contact`` are pairs of links
-    without contacts, in addition to those connected by joints.
+    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; all other
+    objects have a free root. Links are in topological order, so a parent comes before its children. ``no_contact``
+    lists the pairs of links whose contacts are disabled, in addition to links connected by joints.
 
-    ``labels`` are its semantic labels, by default its category. ``variant`` names the selected variant, empty if it has
-    none; ``variants`` are all the others, whole objects of the same name.
+    ``labels`` are the semantic labels, by default the category. ``variant`` is the name of the selected variant, or
+    empty if the object has no variants. ``variants`` contains all other variants as complete objects with the same
+    name.
     """
 
     name: str
@@ -192,21 +198,21 @@ class SceneObject:
 
     @property
     def semantics(self) -> tuple[str, ...]:
-        """Semantic labels, or the category if there are none."""
+        """The semantic labels, or the category if there are no labels."""
         return self.labels or ((self.category,) if self.category else ())
 
     @property
     def root(self) -> Link:
-        """Link whose frame is the object's frame."""
+        """The link whose frame is the object's frame."""
         return self.links[0]
 
     @cached_property
     def joint_above(self) -> dict[str, Joint]:
-        """Joint between each link and its parent, by the link's name; the root has none."""
+        """The joint between each link and its parent, by link name; the root link has no entry."""
         return {joint.child: joint for joint in self.joints}
 
     def qualified(self, link_or_joint: str) -> str:
-        """Name in a flat target: the object's own name for its root link, else ``object.link``."""
+        """Return the name in a flat target: the object's name for its root link, otherwise ``object.link``."""
         return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
 
 
@@ -226,9 +232,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class MountedCamera:
-    """A camera mounted on a link: ``camera.X_WC`` is its pose in that link's frame.
+    """A camera mounted on a link; ``camera.X_WC`` is its pose in the frame of that link.
 
-    ``carrier`` is a robot or an object; ``link`` one of its frames or links, empty for its base or root.
+    ``carrier`` is the name of a robot or an object. ``link`` is one of its frames or links; if empty, the camera is
+    mounted on the base or root.
     """
 
     carrier: str
@@ -237,7 +244,7 @@ class MountedCamera:
 
 
 class LightType(StrEnum):
-    """The kind of a light."""
+    """The type of a light."""
 
     DISTANT = "distant"
     POINT = "point"
@@ -246,9 +253,10 @@ class LightType(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light; it shines along -z of its frame ``X_WL`` (distant), from its origin (point) or from everywhere (dome).
+    """A light that shines along -z of its frame ``X_WL`` (distant), from its origin (point), or everywhere (dome).
 
-    ``intensity`` is relative: 1 lights a white surface that faces the light fully; ``rgb`` in [0, 1], shape (3,).
+    ``intensity`` is relative: at 1, a white surface that faces the light is fully lit. ``rgb`` is in [0, 1], shape
+    (3,).
     """
 
     name: str
@@ -259,12 +267,12 @@ class Light:
 
 
 Splat = Gaussians
-"""Visual-only 3D Gaussians, under a name that backends can import: they read scenes and not assets."""
+"""3D Gaussians, exported here because backends may import the scene package but not the assets package."""
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """Visual surroundings of a scene without collisions: visuals posed in a frame ``X_WB``, or a splat of Gaussians."""
+    """The visual surroundings of a scene, without collisions: visuals in a frame ``X_WB``, or a splat of Gaussians."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
@@ -284,7 +292,10 @@ class Relation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A part of the spec, by its path, that no target receives, and the reason; ``X_WB`` is the base of a robot."""
+    """A part of the spec that is missing in every target: its path and the reason.
+
+    ``X_WB`` is the base pose of a robot.
+    """
 
     path: str
     reason: str
@@ -293,12 +304,12 @@ class LeftOut:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A lowered scene: world poses, inertias, convex parts and materials are all explicit.
+    """A lowered scene, in which world poses, inertias, convex parts and materials are all explicit.
 
     ``left_out`` lists parts of the spec that could not be lowered; every target reports them as lost. ``no_contact``
-    are pairs of links of different objects, by qualified name, without contacts. ``source`` is the document itself, for
-    targets that embed it. ``viewer`` is the frame that defines left, right, front and behind: x points away from the
-    viewer and y to its left; None for the world axes.
+    lists pairs of links in different objects, by qualified name, whose contacts are disabled. ``source`` is the
+    document itself, for targets that embed it. ``viewer`` is the frame that defines left, right, front and behind: x
+    points away from the viewer and y to its left. If it is None, the world axes are used.
     """
 
     name: str
@@ -317,44 +328,49 @@ class Scene:
 
     @cached_property
     def by_name(self) -> dict[str, SceneObject]:
-        """Objects by name."""
+        """The objects in the scene, by name."""
         return {item.name: item for item in self.objects}
 
     def object(self, name: str) -> SceneObject:
-        """Return the object called ``name``; the KeyError for an unknown name lists the known ones."""
+        """Return the object called ``name``; the KeyError for an unknown name lists the available names."""
         if name in self.by_name:
             return self.by_name[name]
-        raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
+        raise KeyError(f"no object {name!r}; available objects: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
-        """Return the robot called ``name``; the KeyError for an unknown name lists the known ones."""
+        """Return the robot called ``name``; the KeyError for an unknown name lists the available names."""
         for item in self.robots:
             if item.name == name:
                 return item
-        raise KeyError(f"no robot {name!r}; there are: {', '.join(r.name for r in self.robots) or 'none'}")
+        raise KeyError(f"no robot {name!r}; available robots: {', '.join(r.name for r in self.robots) or 'none'}")
 
 
 def pair_friction(a: float, b: float) -> float:
-    """Coulomb coefficient of a contact between two surfaces: the geometric mean."""
+    """Return the Coulomb coefficient of a contact between two surfaces, which is the geometric mean."""
     return float(np.sqrt(a * b))
 
 
 def pair_resistance(a: float, b: float) -> float:
-    """Torsional or rolling friction [m] of a contact between two surfaces: the larger, as one soft surface suffices."""
+    """Return the torsional or rolling friction [m] of a contact between two surfaces.
+
+    The larger value is used because one soft surface is enough to cause resistance.
+    """
     return max(a, b)
 
 
 def principal_inertia(inertia: Array) -> tuple[Array, Array]:
-    """Principal moments and axes of a symmetric inertia: ``I = R diag(moments) R^T``.
+    """Return the principal moments and axes of a symmetric inertia ``I = R diag(moments) R^T``.
 
-    Returns moments [kg m^2], shape (3,), and the wxyz quaternion of R, shape (4,). An inertia that is diagonal already
-    keeps its axes, so that symmetric bodies are not turned by rounding.
+    The axes of an inertia that is already diagonal are kept, so that symmetric bodies are not rotated by rounding.
+
+    Returns:
+        The moments [kg m^2], shape (3,), and R as a wxyz quaternion, shape (4,).
     """
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
     if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
         return frozen_array((xx, yy, zz)), IDENTITY.q
     moments, axes = np.linalg.eigh(inertia)
-    for k in range(3):  # the sign of an eigenvector is arbitrary: make its largest entry positive
+    for k in range(3):  # the sign of an eigenvector is arbitrary, so make its largest entry positive
         if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
             axes[:, k] = -axes[:, k]
     if np.linalg.det(axes) < 0:
@@ -366,9 +382,9 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
 class Source:
     """The document from which a scene was lowered.
 
-    It is opaque to backends, which may store it but must not base decisions on it. ``kind`` is that of the document
-    (``scene/1``), ``file`` is its path in its project, with ``/``. ``data`` is its plain data in canonical order,
-    including everything that it extends: mappings, tuples, texts, numbers.
+    It is opaque to backends, which may store it but must not base decisions on it. ``kind`` is the kind of document
+    (``scene/1``), and ``file`` is its POSIX path in its project. ``data`` is the plain data of the document and of
+    everything it extends, in canonical order, consisting of mappings, tuples, strings and numbers.
     """
 
     kind: str
@@ -382,5 +398,5 @@ class Source:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the data, in hex: equal documents have equal digests."""
+        """The hexadecimal SHA-256 of the data; equal documents have equal digests."""
         return hashlib.sha256(json.dumps(dict(self.data), ensure_ascii=False).encode()).hexdigest()

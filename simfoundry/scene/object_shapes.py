@@ -1,4 +1,4 @@
-"""Posed shapes of scene objects for the measures of :mod:`simfoundry.geometry`."""
+"""Posed shapes of scene objects, for use with the measures in :mod:`simfoundry.geometry`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def hulls(*items: SceneObject) -> Hulls:
-    """Colliders of all links of objects at their poses; visuals for links without colliders."""
+    """Return the colliders of all links in these objects at their poses; links without colliders use their visuals."""
     return hulls_of(
         (piece.geometry, item.X_WO @ X_OL @ piece.X_LG, number)
         for item in items
@@ -34,9 +34,13 @@ def solid(
     links: Iterable[str] | None = None,
     keep: Callable[[Array], bool] = lambda corners: True,
 ) -> HalfSpaces:
-    """Colliders of an object, or of some of its links, in a state; only those whose corners [m] satisfy ``keep``.
+    """Return the colliders of an object in a given state.
 
-    The default state is the initial state of the scene.
+    Args:
+        item: The object.
+        state: The state; by default, the initial state of the scene.
+        links: Names of the links to include; by default, all links.
+        keep: Predicate on the corners [m] of a collider; colliders that do not satisfy it are excluded.
     """
     from simfoundry.geometry.crossings import solid_of
 
@@ -55,9 +59,9 @@ def solid(
 
 
 def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
-    """Low and high corner [m] of the world-axis bounding box of each link with a shape.
+    """Return the minimum and maximum corners [m] of the world-aligned bounding box of each link with a shape.
 
-    ``part`` selects the link of that name, or the link moved by the joint of that name.
+    ``part`` selects the link with that name, or the link moved by the joint with that name.
     """
     moved = {joint.name: joint.child for joint in item.joints}
     links = [link for link in item.links if link.name == moved.get(part, part)] or list(item.links)
@@ -70,7 +74,10 @@ def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
 
 
 def bounds(item: SceneObject) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals if there are none)."""
+    """Return the minimum and maximum corners [m] of an object in its own frame.
+
+    The bounds include the colliders, or the visuals if there are no colliders.
+    """
     poses = link_poses(item)
     spans = [
         _span(part.geometry, poses[link.name] @ part.X_LG)
@@ -83,7 +90,7 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
 
 
 def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of a geometry posed in a frame."""
+    """Return the minimum and maximum corners [m] of a geometry posed in a frame."""
     axes = np.abs(X_OG.rotation)
     match geometry:
         case Mesh():
@@ -101,7 +108,7 @@ def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
 
 
 def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] in the world of the object's own bounding box posed at ``X_WO``."""
+    """Return the minimum and maximum corners [m] in the world of the object's own bounding box, posed at ``X_WO``."""
     low, high = bounds(item)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     moved = X_WO.apply(corners)

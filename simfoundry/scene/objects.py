@@ -31,16 +31,16 @@ from simfoundry.spec.models.scene import (
 )
 
 Progress = Callable[[str, int, int], None]
-"""Callback that receives a name, the number of finished objects, and their total number."""
+"""Callback that receives a name, the number of finished objects, and the total number of objects."""
 
 
 @dataclass
 class ObjectLowering:
-    """Lowers the objects of a document and collects the findings in their meshes.
+    """Lowers the objects in a document and collects findings about their meshes.
 
-    Without ``cuts`` no mesh is decomposed into convex parts: hulls represent them. A ``draft`` does not even read
-    meshes (see :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` names the objects for which it has only
-    bounds.
+    Unless ``cuts`` is set, meshes are represented by their hulls and not decomposed into convex parts. In a ``draft``,
+    meshes are not shown either (see :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` contains the names
+    of objects that are represented only by bounds.
     """
 
     loaded: Loaded
@@ -54,13 +54,13 @@ class ObjectLowering:
     approximate: set[str] = field(default_factory=set)
 
     def report(self, said: str) -> None:
-        """Report the current step, and the numbers of finished objects and of all objects."""
+        """Report the current step, along with the number of finished objects and the total number of objects."""
         if self.progress is not None:
             self.progress(said, self.done, self.count)
 
     @contextmanager
     def _reporting(self, source: Loaded, path: tuple[str, ...]) -> Iterator[None]:
-        """Turn a :class:`MeshError` raised inside into a finding at a place of a document."""
+        """Convert a :class:`MeshError` raised in the block to a finding at a location in a document."""
         try:
             yield
         except MeshError as error:
@@ -69,7 +69,7 @@ class ObjectLowering:
     def _builder(
         self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
-        """Return a builder for a link of the object ``owner``, which reports slow steps."""
+        """Return a builder for a link of the object ``owner``; the builder reports slow steps."""
 
         if not self.cuts and body.collision != "none":
             body = body.model_copy(update={"collision": "hull"})
@@ -107,7 +107,7 @@ class ObjectLowering:
         return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
 
     def _rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...], owner: str) -> list[Link]:
-        """Return the single link of a primitive or a mesh."""
+        """Return the single link of a primitive or mesh object, in a list."""
         before = len(self.findings)
         builder = self._builder(owner, "base", item, spec.materials, False)
         with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
@@ -124,7 +124,7 @@ class ObjectLowering:
     def articulated(
         self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
     ) -> tuple[list[Link], tuple[Joint, ...]]:
-        """Links of an asset document in topological order, and its joints at the positions that the object sets."""
+        """Return the links of an asset in topological order, and its joints at the positions set by the object."""
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
@@ -154,7 +154,7 @@ class ObjectLowering:
 
 
 def _topological(spec: AssetSpec) -> Iterator[str]:
-    """Links from the root outward, siblings in the order of their joints."""
+    """Yield the links from the root outward; siblings are in the order of their joints."""
     todo = [next(iter(spec.links))]
     while todo:
         link = todo.pop(0)
@@ -163,7 +163,7 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
 
 
 def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
-    """Joints of an asset at the ``given`` positions, by name; mimic joints follow their leaders."""
+    """Return the joints of an asset at the ``given`` positions, by name; mimic joints follow their leaders."""
     return tuple(
         _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
     )

@@ -1,7 +1,8 @@
-"""Solve placements of objects on, inside or beside others into poses.
+"""Compute the poses of objects placed on, inside or beside other objects.
 
-An object keeps its given rotation, moves to its place in the plane and is lowered along z until it touches its support;
-:data:`CLEARANCE` is left between the two. Only the support stops it: a collision with a third object does not move it.
+An object keeps its specified rotation, is moved to its position in the plane, and is lowered along z until it touches
+its support; :data:`CLEARANCE` is left between the two. Only the support stops the object; collisions with other objects
+do not move it.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.models.scene import Place
 
 CLEARANCE = 1e-4
-"""Height of a placed object above its support [m], so that they do not interpenetrate."""
+"""Height of a placed object above its support [m], which prevents interpenetration."""
 
 DIGITS = 6
-"""Decimals [m] of a solved position, so that platform-dependent rounding errors do not show."""
+"""Number of decimals of a solved position [m], chosen to hide platform-dependent rounding errors."""
 
 LEFT_RIGHT, FRONT_BEHIND = 1, 0
 RELATIONS = {
@@ -35,11 +36,11 @@ RELATIONS = {
     "behind": (FRONT_BEHIND, 1),
     "in_front_of": (FRONT_BEHIND, -1),
 }
-"""The axis of the viewer's frame (0 away, 1 left) that each keyword fixes, and the side of the anchor on it."""
+"""The axis of the viewer's frame (0 away, 1 left) that each keyword constrains, and the side of the anchor along it."""
 
 
 class PlaceError(Exception):
-    """An infeasible placement; the message states the problem with its numbers, and a remedy."""
+    """An error for an infeasible placement; the message states the problem in numbers, and the hint suggests a fix."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -47,9 +48,9 @@ class PlaceError(Exception):
 
 
 def order(places: Mapping[str, Place]) -> list[str]:
-    """Names of ``places`` in an order in which each object comes after its support and its anchors.
+    """Return the names in ``places``, ordered so that each object comes after its support and its anchors.
 
-    Objects in a dependency cycle come last, in their written order.
+    Objects in a dependency cycle come last, in the order of the document.
     """
     waits = {name: {n for n in needs(place) if n in places} for name, place in places.items()}
     out: list[str] = []
@@ -71,7 +72,7 @@ def order(places: Mapping[str, Place]) -> list[str]:
 
 
 def needs(place: Place) -> list[str]:
-    """Objects that must be placed before: the support and the anchors."""
+    """Return the objects that must be placed first: the support and the anchors."""
     named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
     return [name.partition(".")[0] for name in named if name is not None]
 
@@ -79,9 +80,12 @@ def needs(place: Place) -> list[str]:
 def place_all(
     objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None
 ) -> tuple[dict[str, SceneObject], dict[str, PlaceError]]:
-    """Return all objects, those with a placement at their solved poses, and the errors of those that failed.
+    """Place all objects that have a placement.
 
-    Objects that depend on a failed one are not placed either, and not reported.
+    Objects that depend on a failed placement are not placed either, but no errors are reported for them.
+
+    Returns:
+        All objects, with placements solved, and the errors for placements that failed.
     """
     placed = {name: item for name, item in objects.items() if name not in places}
     errors: dict[str, PlaceError] = {}
@@ -97,10 +101,17 @@ def place_all(
 
 @np.errstate(over="ignore", invalid="ignore")
 def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None) -> Pose:
-    """Pose ``X_WO`` of an object at its place among the objects already placed; raises :class:`PlaceError`.
+    """Compute the pose ``X_WO`` of an object from its placement.
 
-    ``viewer`` is the frame that defines left, right, front and behind, with x away from the viewer; by default the
-    world.
+    Args:
+        item: The object to place.
+        place: The placement of the object.
+        placed: The objects that are already placed.
+        viewer: The frame that defines left, right, front and behind, with x pointing away from the viewer; None for the
+            world frame.
+
+    Raises:
+        PlaceError: The placement is infeasible.
     """
     held, carrier, xy = approach(item, place, placed, viewer)
     lift = _lift(held, carrier, walled=place.inside is not None)
@@ -115,7 +126,7 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
 def approach(
     item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None
 ) -> tuple[Hulls, _Carrier, Array]:
-    """Return the parts of an object above its place, rotated as given, its support, and the place in the plane [m]."""
+    """Return an object's rotated shape above its target position, its support, and the position in the plane [m]."""
     carrier = _Carrier.of(_carrier_name(place) or "", placed)
     upright = Pose.of(q=_rotation(place))
     shape = hulls(replace(item, X_WO=upright))
@@ -126,14 +137,17 @@ def approach(
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
-    """Frame, x away and y left, of a viewer who looks through a camera; x is image up for a camera that looks down."""
+    """Return the frame of a viewer who looks through a camera, with x pointing away and y to the left.
+
+    If the camera looks straight down, x is the image's up direction.
+    """
     forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
     x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
 
 
 _standing = lru_cache(maxsize=16)(hulls)
-"""Cache of the parts of placed objects, because many objects stand on one surface."""
+"""Cache of the parts of placed objects, because many objects may be placed on the same surface."""
 
 
 def _carrier_name(place: Place) -> str | None:
@@ -159,7 +173,7 @@ class _Carrier:
     def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
         owner, _, link = name.partition(".")
         if owner not in placed:
-            raise PlaceError(f"`{owner}` has no place itself", "place it without depending on this object")
+            raise PlaceError(f"`{owner}` is not placed itself", "place it without depending on this object")
         item = placed[owner]
         whole = _standing(item)
         part, number, X_WC = whole, None, item.X_WO
@@ -170,7 +184,7 @@ class _Carrier:
             number = names.index(link)
             part, X_WC = whole.of_link(number), item.X_WO @ link_poses(item)[link]
         if not len(part.corners):
-            raise PlaceError(f"`{name}` has no colliders, so it supports nothing", "give it a `collision`")
+            raise PlaceError(f"`{name}` has no colliders, so it cannot support objects", "add a `collision` to it")
         return cls(name, whole, part, number, X_WC)
 
 
@@ -182,7 +196,7 @@ def _position(
     placed: Mapping[str, SceneObject],
     viewer: Pose | None,
 ) -> Array:
-    """Position of the object's frame in the plane [m], shape (2,); ``shape`` has its frame at the origin."""
+    """Return the position of the object's frame in the plane [m], shape (2,); ``shape`` is posed at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
     if place.local_xy is not None:
@@ -208,7 +222,7 @@ def _position(
 
 
 def _axes(viewer: Pose | None) -> tuple[Array, Array]:
-    """Horizontal unit vectors away from the viewer and to its left, shape (3,)."""
+    """Return the horizontal unit vectors away from the viewer and to its left, shape (3,)."""
     x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
     length = math.hypot(x, y)
     if length < 1e-6:
@@ -217,10 +231,10 @@ def _axes(viewer: Pose | None) -> tuple[Array, Array]:
 
 
 def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
-    """Height by which an object must be lifted to touch its support from above [m]; None if it cannot rest there.
+    """Return the height by which an object must be lifted to rest on its support [m]; None if it cannot rest there.
 
-    For a support with a part above another, such as a cabinet over its drawer, the result is the highest free space in
-    which the object rests on the named part and, if it must be ``walled``, has walls around it.
+    If one part of the support is above another, such as a cabinet above its drawer, the result is the highest free
+    space in which the object rests on the specified part and, if ``walled`` is set, has walls around it.
     """
     touching = heights(held, carrier.whole)
     if carrier.link is None and not walled:
@@ -240,9 +254,9 @@ def overlap(thing: Hulls, carrier: Hulls) -> bool:
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
-    """Heights at which an object can rest, highest first, each with the part of the support below it.
+    """Yield the heights at which an object can rest, highest first, each with the part of the support below it.
 
-    Part i of the object collides with part j of the support when it is lifted by ``low[i, j]`` to ``high[i, j]``.
+    Part i of the object collides with part j of the support if it is lifted by ``low[i, j]`` to ``high[i, j]``.
     """
     met = np.isfinite(high)
     order = np.argsort(-high[met], kind="stable")
@@ -262,15 +276,15 @@ def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> P
         message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
         return PlaceError(message, f"move it over `{carrier.name}`")
     if where == "inside" and len(set(carrier.part.part)) == 1:
-        message = f"`{name}` cannot be inside `{carrier.name}`, whose colliders are one convex part without a hollow"
+        message = f"`{name}` cannot be inside `{carrier.name}`, whose only collider is convex and has no cavity"
         return PlaceError(
-            message, "write `on`, or give it a hollow: a lathe, a mesh with `collision: decompose`, parts"
+            message, "use `on`, or model the cavity with a lathe, a mesh with `collision: decompose`, or parts"
         )
     return misfit(name, held, carrier, where)
 
 
 def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
-    """Return the error for an object without enough space on or inside its support."""
+    """Return the error for an object that does not have enough space on or inside its support."""
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"

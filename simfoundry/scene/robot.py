@@ -1,4 +1,4 @@
-"""Robots of the lowered scene: their native models, how these are found, and the mapping of scene names to theirs."""
+"""Robots in the lowered scene: locate their native models, and map names in the scene to names in the models."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from simfoundry.spec.models.robot_file import (
 
 
 class ModelFormat(StrEnum):
-    """A format of robot models."""
+    """The file format of a robot model."""
 
     MJCF = "mjcf"
     URDF = "urdf"
@@ -34,7 +34,7 @@ class ModelFormat(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class LinkFrame:
-    """A frame that a scene can refer to: ``X_LF`` in a ``link`` of the model."""
+    """A frame that a scene can refer to, at pose ``X_LF`` in a ``link`` of the model."""
 
     link: str
     X_LF: Pose = IDENTITY
@@ -42,11 +42,11 @@ class LinkFrame:
 
 @dataclass(frozen=True, eq=False)
 class Gripper:
-    """Joints of a gripper; every pair is (open, closed).
+    """The joints of a gripper; every pair of values is (open, closed).
 
-    ``command`` are values of the model's actuators, empty if the joints are driven directly; ``joints`` are positions
-    [rad or m], the first of which indicates how far the gripper is closed; ``follow`` replaces closed loops and
-    equality constraints of the model in engines without them.
+    ``command`` maps the model's actuators to their values, and is empty if the joints are driven directly. ``joints``
+    maps joints to positions [rad or m]; the first joint indicates how far the gripper is closed. ``follow`` replaces
+    the model's closed loops and equality constraints in engines that do not support them.
     """
 
     command: Mapping[str, tuple[float, float]]
@@ -54,14 +54,17 @@ class Gripper:
     follow: Mapping[str, Mimic]
 
     def closed(self, position: float) -> float:
-        """Closed fraction, 0 to 1, for its first joint at ``position`` [rad or m]."""
+        """Return the closed fraction, from 0 to 1, when the first joint is at ``position`` [rad or m]."""
         opened, closed = next(iter(self.joints.values()))
         return min(max((position - opened) / (closed - opened), 0.0), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Attached:
-    """A model mounted on a link of another: its names are prefixed with ``name.``; ``X_LB`` poses its base there."""
+    """A model mounted on a link of another model; its names are prefixed with ``name.``.
+
+    ``X_LB`` is the pose of its base in the frame of the link ``to``.
+    """
 
     name: str
     file: Path
@@ -71,11 +74,11 @@ class Attached:
 
 @dataclass(frozen=True, eq=False)
 class NativeModel:
-    """Robot model in one format.
+    """A robot model in one format.
 
-    ``digest`` identifies the content of all its files, which remain where they were found on this machine. ``joints``
-    maps the scene's names of the arm's joints to the model's; other names are the model's own. ``effort`` is the
-    maximum force [N m or N] of joints for which the file does not state the robot's.
+    ``digest`` identifies the content of all files of the model, which remain at their original location on this
+    machine. ``joints`` maps the scene's names for the arm joints to those in the model; all other names are the model's
+    own. ``effort`` is the maximum force [N m or N] of joints for which the file does not specify the actual limit.
     """
 
     format: ModelFormat
@@ -88,20 +91,21 @@ class NativeModel:
     effort: Mapping[str, float]
 
     def frame(self, name: str) -> LinkFrame:
-        """Return the frame that a scene calls ``name``: a known one, or a link of the model."""
+        """Return the frame called ``name`` in a scene, which is either a known frame or a link of the model."""
         return self.links.get(name) or LinkFrame(name)
 
 
 FILES_ONLY = "robot"
-"""Kind of a robot that a document defines by its files alone."""
+"""The kind of a robot that a document defines only by its files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A robot whose base is welded to the world at ``X_WB``.
 
-    ``positions`` [rad or m] are those of its arm, by the scene's joint names; its gripper is open. ``reach`` [m] along
-    the ground and ``opening`` [m] are None if unknown. ``models`` has at least one entry.
+    ``positions`` [rad or m] are the positions of the arm joints, by the scene's joint names; the gripper is open.
+    ``reach`` [m] is the horizontal reach and ``opening`` [m] the gripper opening; both are None if unknown. ``models``
+    has at least one entry.
     """
 
     name: str
@@ -117,34 +121,34 @@ class Robot:
         return next((self.models[f] for f in formats if f in self.models), None)
 
     def start(self, model: NativeModel) -> dict[str, float]:
-        """Initial positions of the model's joints: the arm's from the scene, the gripper's open."""
+        """Return the initial joint positions in the model: the arm as specified in the scene, and the gripper open."""
         arm = {model.joints.get(name, name): position for name, position in self.positions.items()}
         opened = {n: pair[0] for n, pair in model.gripper.joints.items()} if model.gripper is not None else {}
         return opened | arm
 
 
 def mujoco_model(robot: Robot) -> NativeModel | None:
-    """Return the robot model that MuJoCo reads best, if there is one."""
+    """Return the robot model that is best suited for MuJoCo, or None if there is none."""
     return robot.best(ModelFormat.MJCF, ModelFormat.URDF)
 
 
 _ROBOTS: WeakValueDictionary[tuple[object, ...], Robot] = WeakValueDictionary()
 _MODELS: WeakValueDictionary[tuple[object, ...], NativeModel] = WeakValueDictionary()
-"""Live robots by content: the scenes of a batch share a robot, and the data that backends have read of it."""
+"""Robots in use, keyed by content: the scenes in a batch share a robot and the data that backends have read from it."""
 
 _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
 
 
 def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) -> Robot:
-    """Return the robot ``name`` of a scene document; raises :class:`NoModelError` if no model of it is found.
+    """Lower the robot ``name`` in a scene document; raises :class:`NoModelError` if no model is available.
 
-    Packages that download robots on first use do so only with ``fetch``.
+    Packages that download robots on first use do so only if ``fetch`` is set.
     """
     if isinstance(spec.model, str):
         own_folder(must_exist=True)
         found = known_robot_file(spec.model)
         if found is None:
-            raise NoModelError(f"no robot is called `{spec.model}`; there are: {', '.join(robot_names())}")
+            raise NoModelError(f"no robot is called `{spec.model}`; available robots: {', '.join(robot_names())}")
         described, file = found
     elif spec.model.file is not None:
         file = find_model(spec.model.file, document, ".yaml", fetch)
@@ -171,7 +175,7 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
 
 
 def _models(spec: RobotFileSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
-    """Return the available models, and the reason why the first missing one is missing."""
+    """Return the available models, and the reason why the first unavailable model could not be found."""
     found, missing = {}, ""
     for key in ModelFormat:
         model: ModelSpec | None = getattr(spec, key.value)
@@ -206,7 +210,7 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path, fetch: bool) -> Na
 
 
 def _first(references: list[str], document: Path, suffix: str, fetch: bool) -> Path:
-    """Return the first file found; otherwise raise the error of the best file whose package is installed."""
+    """Return the first file that exists; otherwise, raise the error for the best file whose package is installed."""
     reasons = []
     for reference in references:
         try:

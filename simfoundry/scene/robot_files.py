@@ -1,4 +1,4 @@
-"""Locate the files of a robot model and the files that they reference, also in packages that download robots."""
+"""Locate the files of a robot model and the files that they reference, including in packages that download robots."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _IMAGES = re.compile(r"<init_from>\s*([^<]+?)\s*</init_from>")
 
 
 def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) -> Path:
-    """Return the file that ``reference`` in ``document`` names.
+    """Return the file that ``reference`` in ``document`` refers to.
 
-    A reference is a path, ``pkg:package/path``, ``menagerie:robot/path`` or ``robot_descriptions:name``. ``suffix``
-    (``.xml``, ``.urdf``) selects one of a description's files. The last two kinds come from packages that download a
-    robot on first use; without ``fetch`` nothing is downloaded. Raises :class:`NoModelError`.
+    A reference is a path, ``pkg:package/path``, ``menagerie:robot/path`` or ``robot_descriptions:name``. The last two
+    are resolved by packages that download a robot on first use; nothing is downloaded unless ``fetch`` is set.
+    ``suffix`` (``.xml``, ``.urdf``) selects one of a description's files. Raises :class:`NoModelError`.
     """
     packaged = packaged_model(reference)
     if packaged is not None:
@@ -45,7 +45,7 @@ def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) 
 
 
 def digest(files: list[Path]) -> str:
-    """Sixteen hex digits that identify the content of files, in the given order."""
+    """Return sixteen hexadecimal digits that identify the content of the files, in the given order."""
     total = hashlib.sha256()
     for file in files:
         total.update(hashlib.sha256(file.read_bytes()).digest())
@@ -53,14 +53,14 @@ def digest(files: list[Path]) -> str:
 
 
 def model_files(file: Path) -> list[Path]:
-    """Return a model's file and every file that it needs, each once, in the order of their references.
+    """Return a model file and all files that it references, in the order of the references, without duplicates.
 
-    Raises :class:`NoModelError` if one is missing or the model cannot be read.
+    Raises :class:`NoModelError` if a file is missing or the model cannot be read.
     """
     files = list(dict.fromkeys(_needed(file)))
     for needed in files:
         if not needed.is_file():
-            raise NoModelError(f"{file.name} needs {needed.name}, but {needed} does not exist")
+            raise NoModelError(f"{file.name} references {needed.name}, but {needed} does not exist")
     return files
 
 
@@ -74,16 +74,16 @@ def _needed(file: Path) -> Iterator[Path]:
                 yield from companions(mesh)
         case ".xml" | ".mjcf":
             yield from _mjcf_files(file)
-        case _:  # a USD layer: its folder, which is moved as a whole
+        case _:  # a USD layer references its folder, which is copied as a whole
             yield from sorted(p for p in file.parent.rglob("*") if p.is_file() and p != file)
 
 
 def _mjcf_files(file: Path) -> Iterator[Path]:
-    """Included files, meshes, height fields and textures."""
+    """Yield the files that an MJCF model references: included files, meshes, height fields and textures."""
     try:
         root = ET.parse(file).getroot()
     except (ET.ParseError, OSError) as error:
-        raise NoModelError(f"{file.name} cannot be read: {error}") from None
+        raise NoModelError(f"{file.name} could not be read: {error}") from None
     folders = {"mesh": "", "texture": "", "hfield": ""}
     for compiler in root.iter("compiler"):
         assets = compiler.get("assetdir", "")
@@ -100,12 +100,12 @@ def _mjcf_files(file: Path) -> Iterator[Path]:
 
 
 def urdf_meshes(text: str) -> list[str]:
-    """File names in a URDF, each once: meshes and textures."""
+    """Return the names of meshes and textures in a URDF, without duplicates."""
     return list(dict.fromkeys(re.findall(r"""\bfilename\s*=\s*["']([^"']+)["']""", text)))
 
 
 def urdf_mesh(urdf: Path, name: str) -> Path:
-    """Return the file that ``name`` refers to in a URDF: relative to it, or `package://` below a parent folder."""
+    """Return the file that ``name`` refers to in a URDF: a relative path, or `package://` below a parent folder."""
     if name.startswith("file://"):
         return Path(name.removeprefix("file://")).resolve()
     if not name.startswith("package://"):
@@ -120,7 +120,7 @@ def urdf_mesh(urdf: Path, name: str) -> Path:
 
 
 def companions(mesh: Path) -> Iterator[Path]:
-    """Return the materials and textures that a mesh file references."""
+    """Yield the material and texture files that a mesh file references."""
     if not mesh.is_file() or mesh.suffix.lower() not in (".obj", ".dae"):
         return
     text = mesh.read_text(encoding="utf-8", errors="replace")
@@ -143,10 +143,10 @@ _DESCRIPTIONS = "robot_descriptions"
 
 
 class NoModelError(Exception):
-    """A missing model; the message is a clause that states what is missing and the remedy.
+    """An error for a missing model; the message is a clause that states what is missing and how to fix it.
 
-    ``is_known`` is False if the package that may provide it is not installed; another source's error is then more
-    informative.
+    ``is_known`` is False if the package that may provide the model is not installed; in that case, the error from
+    another source is more informative.
     """
 
     def __init__(self, message: str, is_known: bool = True) -> None:
@@ -155,10 +155,10 @@ class NoModelError(Exception):
 
 
 def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
-    """Return the file ``path`` of the robot ``name`` in MuJoCo Menagerie, by default its model.
+    """Return a file of the robot ``name`` in MuJoCo Menagerie: ``path``, or by default its model.
 
-    With ``fetch`` the official package downloads robots (megabytes) that are not in its cache; without it, they are
-    missing. Raises :class:`NoModelError`.
+    If ``fetch`` is set, the official package downloads robots that are not in its cache (several megabytes); otherwise,
+    such robots are treated as missing. Raises :class:`NoModelError`.
     """
     if not is_installed("mujoco_menagerie"):
         raise NoModelError(f"install its models with `{install_line('robots')}`", is_known=False)
@@ -169,21 +169,24 @@ def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
         cache = mujoco_menagerie.Cache()
         if cache.root is None and not cache.is_cached(robot) and not fetch:
             raise NoModelError(
-                f"it is not downloaded yet; run `python -m mujoco_menagerie prefetch {name}`, or use it once online"
+                f"it has not been downloaded; run `python -m mujoco_menagerie prefetch {name}`, or use it once online"
             )
         folder = _fetch(name, str(cache.dir), str(cache.root or ""))
         if isinstance(folder, Exception):
             raise folder
     except mujoco_menagerie.UnknownRobotError as error:
-        raise NoModelError(f"mujoco-menagerie does not know it: {_line(error)}; update that package") from None
+        raise NoModelError(f"mujoco-menagerie does not provide it: {_line(error)}; update that package") from None
     except (mujoco_menagerie.MenagerieError, OSError) as error:
-        raise NoModelError(f"mujoco-menagerie could not fetch `{name}`: {_line(error)}") from None
+        raise NoModelError(f"mujoco-menagerie could not download `{name}`: {_line(error)}") from None
     return _inside(folder, path or robot.entry(robot.default_model).file, f"menagerie:{name}")
 
 
 @lru_cache(maxsize=64)
 def _fetch(name: str, cache: str, root: str) -> Path | Exception:
-    """Return the folder of a robot; a failed download is not retried in this process, as each try takes seconds."""
+    """Return the folder of a robot, or the error if the download failed.
+
+    A failed download is not retried in this process because each attempt takes seconds.
+    """
     import mujoco_menagerie
 
     try:
@@ -193,10 +196,10 @@ def _fetch(name: str, cache: str, root: str) -> Path | Exception:
 
 
 def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
-    """Return the file of a description in the package robot_descriptions; ``suffix`` selects one if ``path`` is None.
+    """Return a file of a description in the robot_descriptions package: ``path``, or the file with ``suffix``.
 
-    The package clones the description's repository on first use; without ``fetch``, a description that is not cloned is
-    missing. Raises :class:`NoModelError`.
+    The package clones the description's repository on first use. If ``fetch`` is not set, a description that has not
+    been cloned is treated as missing. Raises :class:`NoModelError`.
     """
     if not is_installed(_DESCRIPTIONS):
         raise NoModelError(f"install its models with `pip install {_DESCRIPTIONS}`", is_known=False)
@@ -209,11 +212,11 @@ def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Pa
             with _offline():
                 module = importlib.import_module(module_name)
     except ModuleNotFoundError:
-        raise NoModelError(f"`{_DESCRIPTIONS}` has no `{name}`; update it") from None
+        raise NoModelError(f"`{_DESCRIPTIONS}` does not provide `{name}`; update that package") from None
     except NoModelError:
         raise
-    except Exception as error:  # git's errors without a network vary
-        raise NoModelError(f"`{_DESCRIPTIONS}` could not fetch `{name}`: {_line(error)}") from None
+    except Exception as error:  # git raises various errors without a network
+        raise NoModelError(f"`{_DESCRIPTIONS}` could not download `{name}`: {_line(error)}") from None
     if path is not None:
         return _inside(Path(module.PACKAGE_PATH), path, f"{_DESCRIPTIONS}:{name}")
     if (found := getattr(module, _ATTRIBUTE.get(suffix, "USD_PATH"), None)) is None:
@@ -224,8 +227,8 @@ def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Pa
 def _need_cloned(name: str) -> None:
     """Raise :class:`NoModelError` unless the repository of a description has been cloned.
 
-    The package itself cannot answer this without cloning. The module's text names the repository, and the package's
-    table gives its folder.
+    The package itself cannot determine this without cloning. Therefore, the repository is read from the source of the
+    module, and its folder from a table in the package.
     """
     import sys
 
@@ -238,12 +241,12 @@ def _need_cloned(name: str) -> None:
     table = importlib.import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES
     folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
     if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
-        raise NoModelError(f"it is not downloaded yet; run `{_DESCRIPTIONS} pull {name}`, or use it once online")
+        raise NoModelError(f"it has not been downloaded; run `{_DESCRIPTIONS} pull {name}`, or use it once online")
 
 
 @contextmanager
 def _offline() -> Iterator[None]:
-    """Keep git off the network, and silent, while a description that is already cloned is imported."""
+    """Prevent git from using the network or printing while a description that is already cloned is imported."""
     before = os.environ.get("GIT_ALLOW_PROTOCOL")
     os.environ["GIT_ALLOW_PROTOCOL"] = "none"
     try:
@@ -259,7 +262,7 @@ def _offline() -> Iterator[None]:
 def _inside(folder: Path, path: str, name: str) -> Path:
     target = (folder / path).resolve()
     if not target.is_relative_to(folder.resolve()):
-        raise NoModelError(f"`{path}` leaves `{name}`")
+        raise NoModelError(f"`{path}` is outside `{name}`")
     if not target.is_file():
         raise NoModelError(f"`{name}` has no file {path}")
     return target

@@ -1,4 +1,4 @@
-"""Time-varying state of a scene: poses of objects and positions of joints, read from and written to documents."""
+"""The time-varying state of a scene (object poses and joint positions), read from and written to documents."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from simfoundry.spec.models.scene import SceneSpec
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """Poses ``X_WO`` of the objects by name, and joint states by ``object.joint``.
+    """The poses ``X_WO`` of objects by name, and joint states by ``object.joint``.
 
-    ``joints`` are the positions [rad or m] of joints with one axis; ``motions`` are the motions of ball and free
-    joints: the pose of the child's frame relative to its frame at position zero. A ball joint's motion has no
-    translation.
+    ``joints`` contains the positions [rad or m] of single-axis joints. ``motions`` contains the motions of ball and
+    free joints, which are poses of the child's frame relative to its pose at position zero; the motion of a ball joint
+    has no translation.
 
-    ``robots`` are the joint positions of each robot [rad or m], by the joint names of the object that
-    :mod:`simfoundry.backends.robot_models.robot_object` makes of it; empty for the positions in the scene. ``speeds``
-    [m/s] are those of the fastest point of each object; objects without an entry are at rest.
+    ``robots`` contains the joint positions of each robot [rad or m], by the joint names of the object that
+    :mod:`simfoundry.backends.robot_models.robot_object` creates from it; if empty, the positions in the scene are used.
+    ``speeds`` [m/s] contains the speed of the fastest point on each object; objects without an entry are at rest.
     """
 
     poses: Mapping[str, Pose]
@@ -43,7 +43,7 @@ class SceneState:
         robots: Mapping[str, Mapping[str, float]] | None = None,
         speeds: Mapping[str, float] | None = None,
     ) -> SceneState:
-        """Freeze the mappings."""
+        """Return a state with immutable copies of the mappings."""
         return cls(
             MappingProxyType(dict(poses)),
             MappingProxyType(dict(joints)),
@@ -63,7 +63,7 @@ class SceneState:
         )
 
     def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
-        """Positions and motions of the joints of one object, by their own names; defaults come from the scene."""
+        """Return the positions and motions of an object's joints, by joint name, with defaults from the scene."""
         found: dict[str, float | Pose] = {}
         for joint in item.joints:
             name = f"{item.name}.{joint.name}"
@@ -79,28 +79,28 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return an object at its pose and joint positions in a state, without its other variants."""
+    """Return an object with the pose and joint positions in a state, without its other variants."""
     at = state.of_object(item)
     joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
     return replace(item, X_WO=state.poses[item.name], joints=joints, variants=())
 
 
 def _moved(joint: Joint, to: float | Pose | None) -> Joint:
-    """Return a joint with a new position or motion; None keeps it."""
+    """Return a joint with a new position or motion; None leaves it unchanged."""
     if to is None:
         return joint
     return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)
 
 
 UPRIGHT_DEG = 0.05
-"""Tilt below which a body is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
+"""Maximum tilt of a body that is written as upright; it moves the rim of a 20 cm plate by less than 0.1 mm."""
 
 STILL = 1e-4
-"""Motion below which a joint keeps its written position [rad or m]."""
+"""Maximum motion at which a joint keeps the position in the document [rad or m]."""
 
 
 def pose(spec: PoseSpec) -> Pose:
-    """Return the pose that a document describes."""
+    """Convert a pose in a document to a rigid transform."""
     if spec.quat_wxyz is not None:
         return Pose.of(spec.xyz, spec.quat_wxyz)
     if spec.rpy_deg is None and spec.yaw_deg is None:
@@ -110,7 +110,7 @@ def pose(spec: PoseSpec) -> Pose:
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
-    """Return a pose in readable form: position to 0.1 mm, only yaw if upright, else roll, pitch and yaw."""
+    """Convert a pose to readable form: position to 0.1 mm, and yaw if upright, otherwise roll, pitch and yaw."""
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
     tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
@@ -120,7 +120,7 @@ def pose_spec(X_WO: Pose) -> PoseSpec:
 
 
 def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
-    """Return the spec of ``scene`` with poses and joint positions from ``state`` for free objects and moved joints."""
+    """Return the spec of ``scene``, with poses of free objects and positions of moved joints taken from ``state``."""
     moved = with_poses(spec, state.poses)
     objects = dict(moved.objects)
     for item in scene.objects:
@@ -147,7 +147,7 @@ def _rotation(motion: Pose) -> PoseSpec:
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
-    """Return the spec with new poses for the objects that are not fixed, replacing their poses and placements."""
+    """Return the spec with new poses for objects that are not fixed, replacing their poses and placements."""
     objects = dict(spec.objects)
     for name, item in spec.objects.items():
         if name in poses and not item.fixed:

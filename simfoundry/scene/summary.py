@@ -14,7 +14,11 @@ from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
-    """Return plain facts by object: size [m], mass [kg] and its uncertainty, position [m], joints, and support."""
+    """Return the key facts about a scene and its objects as plain data.
+
+    For each object, these include the size [m], the mass [kg] and its uncertainty, the position [m], the joints, and
+    the support.
+    """
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     carried_by = {name: (place.on or place.inside or "").partition(".")[0] for name, place in places.items()}
     carried_by |= {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
@@ -64,7 +68,7 @@ def tree(facts: dict[str, Any]) -> str:
 
 
 def _roots(objects: dict[str, Any], children: dict[str | None, list[str]]) -> list[str]:
-    """Objects that stand on nothing, and the first of each cycle of `OnTop`, which has no root."""
+    """Return the objects without a support, and the first object in each `OnTop` cycle, because a cycle has no root."""
     roots, below = list[str](), set[str]()
     for name in (*children.get(None, []), *objects):
         if name not in below:
@@ -120,12 +124,12 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
 
 
 def _shape(geometry: Geometry) -> str:
-    """Return the kind of a collider as a word."""
+    """Return the name of a collider's shape."""
     return "convex part" if isinstance(geometry, Mesh) else type(geometry).__name__.lower()
 
 
 def _kind(written: ObjectSpec, item: SceneObject) -> str:
-    """Return the name of a shape in the spec, or the number of links of an asset."""
+    """Return the name of the shape in the spec, or the number of links of an asset."""
     if written.shape is not None:
         return next(iter(type(written.shape).model_fields))
     return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"

@@ -119,7 +119,7 @@ def test_objects_come_go_and_change_their_names(scene: sf.SceneDocument) -> None
             "19:11: SF104 expected a number greater than 0",
         ),
         (lambda s: s.objects.add("cup", shape={"bux": [1]}), sf.SpecError, "unknown key `bux`"),
-        (lambda s: s.objects.add("mug", mass=1), sf.SimfoundryError, "there is an object `mug` already"),
+        (lambda s: s.objects.add("mug", mass=1), sf.SimfoundryError, "an object named `mug` already exists"),
         (lambda s: s.open("unity"), sf.SimfoundryError, "scenes cannot be run in `unity`; available simulators: "),
         (lambda s: s.judge("OnTop(mog, desk)"), sf.SimfoundryError, "there is no `mog` in this scene"),
         (lambda s: s.compile("mujocoo", out="x"), sf.SimfoundryError, "did you mean `mujoco`?"),

@@ -299,7 +299,7 @@ def test_categories_are_escaped() -> None:
 
 
 def test_an_unknown_target_names_those_there_are() -> None:
-    with pytest.raises(UnknownExtensionError, match="no backend is called `mujoco`; there are: `mjcf`, `pybullet`"):
+    with pytest.raises(UnknownExtensionError, match="no backend is called `mujoco`; available: `mjcf`, `pybullet`"):
         compile_scene(primitives_scene(), "mujoco")
 
 

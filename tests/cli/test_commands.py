@@ -123,7 +123,7 @@ def test_strict_compiling_gives_1_where_something_is_lost(scene: Path, tmp_path:
 def test_compile_says_what_is_not_there(scene: Path, tmp_path: Path) -> None:
     done = run("compile", scene, "-t", "urdf", "-o", tmp_path / "out")
     lines = [line.strip() for line in done.out.splitlines()]
-    assert "front is not written: URDF has no cameras; add one in the simulator." in lines
+    assert "front is not written: URDF has no cameras; add them in the simulator." in lines
     reason = "URDF has no contact friction; the simulator's default applies."
     assert [line for line in lines if "friction are" in line] == [
         f"desk.friction, cup.friction are not written: {reason}"

@@ -161,7 +161,7 @@ def test_exit_codes(repository: Repository) -> None:
         (["HEAD:no.scene.yaml", "HEAD:none.scene.yaml"], "there is no document HEAD:none.scene.yaml"),
         (["HEAD", "HEAD", "HEAD"], "give two files, or one or two revisions followed by files"),
         (["table.scene.yaml", "HEAD"], "give two files, or one or two revisions followed by files"),
-        (["--format", "html"], "an HTML page needs an output file; give `--format html` and `-o PAGE.html` together"),
+        (["--format", "html"], "an HTML page requires an output file; use `--format html` and `-o PAGE.html` together"),
     ],
 )
 @pytest.mark.usefixtures("repository")

@@ -175,5 +175,5 @@ def test_documents_of_other_kinds_have_no_pictures(repository: Repository) -> No
 
 
 def test_a_page_of_nothing(repository: Repository) -> None:
-    assert "No document differs." in _page(repository).text
+    assert "There are no differences." in _page(repository).text
     assert json.loads(run("diff", "--format", "json").out) == {"documents": []}

@@ -165,7 +165,7 @@ def test_the_next_commands_are_said() -> None:
 def test_nothing_is_overwritten_without_force(project: Path) -> None:
     (project / "a.scene.yaml").write_text("mine")
     done = run("new", "a.scene.yaml")
-    assert done.code == 2 and "a.scene.yaml exists; --force replaces it" in done.err
+    assert done.code == 2 and "a.scene.yaml already exists; use --force to replace it" in done.err
     assert (project / "a.scene.yaml").read_text() == "mine" and not (project / ".simfoundry").exists()
     assert run("new", "a.scene.yaml", "--force").code == 0
     assert_clean(Path("a.scene.yaml"))

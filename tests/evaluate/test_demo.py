@@ -58,7 +58,7 @@ def test_an_arm_puts_one_thing_on_another_and_leaves_documents_and_pictures(scen
     strip = np.asarray(Image.open(done.strip))
     assert strip.shape[1] > PICTURES * SIZE[0] and strip.std() > 20
     (out / "mine.txt").write_text("keep")
-    with pytest.raises(OutputError, match=r"holds files that were not generated there \(mine.txt\)"):
+    with pytest.raises(OutputError, match=r"contains files that were not generated there \(mine.txt\)"):
         demonstrate(scene, out)
     (out / "mine.txt").unlink()
     done.task.write_text(done.task.read_text().replace("Put the", "Lay the"))
@@ -72,7 +72,7 @@ def test_without_the_expert_the_demo_says_what_to_install(
     monkeypatch.setitem(sys.modules, "mink", None)
     done = demonstrate(scene, tmp_path / "arm")
     assert not done.success and done.task is None and not (tmp_path / "arm").exists()
-    assert done.reason == "its inverse kinematics needs mink; install with `pip install 'simfoundry[expert]'`"
+    assert done.reason == "its inverse kinematics requires mink; install with `pip install 'simfoundry[expert]'`"
 
 
 def test_where_nothing_can_be_grasped_the_arm_does_nothing(scene: Path, tmp_path: Path) -> None:

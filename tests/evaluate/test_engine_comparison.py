@@ -56,10 +56,10 @@ def test_the_page_shows_where_engines_disagree_first() -> None:
     filled = {"engine_version": "3", "robots": {}, "version": "0", "seed": 0, "instruction": "go", "control_hz": 15.0}
     rows = [{**r, "task": "b"} for r in both(5, range(5), range(5))] + both(5, range(5), [])
     text = page([{**filled, "horizon": 9, "regions": {}, "cells": {}, "grid": [5, 5], **r} for r in rows])
-    table = text.partition("The same starts in two engines")[2].partition("</table>")[0]
+    table = text.partition("The same initial states in two engines")[2].partition("</table>")[0]
     assert table.index("<th>a</th>") < table.index("<th>b</th>")
     assert table.count("the engines disagree") == 1 and "0, 1, 2, 3, 4" in table
-    assert "The same starts" not in page(
+    assert "The same initial states" not in page(
         [{**filled, "horizon": 9, "regions": {}, "cells": {}, "grid": [1, 1], **rows[0]}]
     )
 

@@ -195,7 +195,7 @@ def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: 
         ((task, "-p", "random", "-p", "random"), "two policies have the label `random`"),
         ((task, task, "-p", "random"), "two tasks have the name `push`"),
         ((bench / "none", "-p", "random"), "does not exist"),
-        ((task, "-p", "random", "--shard", "3/2"), "is not I/N"),
+        ((task, "-p", "random", "--shard", "3/2"), "expected I/N"),
         ((task, "-p", "random", "--camera", "nose"), "camera `nose`"),
     ]:
         result = run("eval", *arguments, "-o", tmp_path, "-n", "1")
@@ -236,7 +236,7 @@ def test_the_page_of_many_tasks_folds_them_and_shows_what_they_say_together() ->
     filled = {"engine_version": "3", "robots": {}, "version": "0", "seed": 0, "instruction": "go", "control_hz": 15.0}
     text = page([{**filled, "horizon": 9, "regions": {}, "cells": {}, "grid": [5, 5], **r} for r in rows])
     assert text.count("<summary><b>cousin") == 13 and "a 1/1; b 0/1" in text
-    assert "All tasks together" in text and "13/13" in text and "2/13" in text
+    assert "All tasks combined" in text and "13/13" in text and "2/13" in text
     assert "no result" in text and "1 missing" in text
     assert "<th>a and b</th><td>mujoco</td><td>13</td><td>11</td><td>0</td><td>0.000977</td>" in text
 
@@ -278,7 +278,7 @@ def test_where_nothing_draws_an_evaluation_goes_without_videos(
     arguments = ("eval", push_file, "-p", "random", "-n", "1", "-o", tmp_path / "out")
     done = run(*arguments)
     assert done.code == 0, done.err
-    assert "no videos: MuJoCo finds no GL driver here; `simfoundry doctor` shows how to install one" in done.err
+    assert "no videos: MuJoCo could not find a GL driver; run `simfoundry doctor` to see how to install one" in done.err
     assert not list((tmp_path / "out").rglob("*.webm")) and (tmp_path / "out" / "report.html").is_file()
     asked = run(*arguments[:-1], tmp_path / "asked", "--video")
-    assert asked.code == 2 and "MuJoCo finds no GL driver: install libegl1" in asked.err
+    assert asked.code == 2 and "MuJoCo could not find a GL driver: install libegl1" in asked.err

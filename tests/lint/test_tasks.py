@@ -73,7 +73,7 @@ def test_steps_are_judged_at_starts_of_their_own(tmp_path: Path) -> None:
     steps += "  two: {goal: OnTop(cup, plate), start: {place: {cup: {on: plate}}}}\n"
     ((code, message),) = lint_task(tmp_path, "OnTop(cup, plate)", steps)
     assert code == "SF405"
-    assert message.startswith("the step `two` is done at its start")
+    assert message.startswith("the step `two` is already complete when it starts")
     assert lint_task(tmp_path, "OnTop(cup, plate)", "subtasks: {one: {goal: Upright(cup)}}\n")[0][0] == "SF405"
 
 
@@ -100,7 +100,7 @@ def test_only_what_must_be_carried_is_measured(tmp_path: Path) -> None:
     ((code, message),) = lint_task(tmp_path, "OnTop(plate, cup)")
     assert (code, message) == (
         "SF407",
-        "`plate` is 19.7 cm wide at its narrowest, and `arm` opens 8.5 cm",
+        "`plate` is 19.7 cm wide at its narrowest, but `arm` opens only 8.5 cm",
     )
     assert lint_task(tmp_path, '"NextTo(plate, cup)"') == []
     assert (
@@ -122,7 +122,7 @@ def test_what_is_out_of_reach(tmp_path: Path) -> None:
     assert (code, message) == ("SF408", f"`far` is {nearest:.2f} m from `arm`, which reaches 0.855 m")
     assert lint_task(tmp_path, "OnTop(cup, far)")[0][0] == "SF408"
     assert lint_task(tmp_path, "{not: OnTop(far, cup)}") == [
-        ("SF405", "the goal is true at the start: `far` is 38.2 cm away from `cup`"),
+        ("SF405", "the goal is already true at the start: `far` is 38.2 cm away from `cup`"),
     ]
     two = "robots: {arm: {model: franka_robotiq}, other: {model: franka_robotiq, pose: {xyz: [1.4, 0, 0]}}}\n"
     assert lint_task(tmp_path, "OnTop(far, plate)", scene=two) == []

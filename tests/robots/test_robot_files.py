@@ -66,7 +66,7 @@ def test_what_is_known_of_a_robot_and_its_models_agree(name: str) -> None:
 def test_a_model_names_all_its_files(plain: Path) -> None:
     assert [path.name for path in model_files(plain)] == ["plain.urdf", "tip.obj", "tip.mtl", "tip.png"]
     (plain.parent.parent / "meshes" / "tip.obj").unlink()
-    with pytest.raises(NoModelError, match=r"plain.urdf needs tip.obj, but .*tip.obj does not exist"):
+    with pytest.raises(NoModelError, match=r"plain.urdf references tip.obj, but .*tip.obj does not exist"):
         model_files(plain)
 
 
@@ -84,11 +84,13 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     toy = "robot_descriptions:toy_mj_description"
     assert find_model(toy, document, ".xml") == (tmp_path / "robot" / "robot.xml").resolve()
     assert find_model(f"{toy}/hand.xml", document, ".xml") == (tmp_path / "robot" / "hand.xml").resolve()
-    with pytest.raises(NoModelError, match="leaves `robot_descriptions:toy_mj_description`"):
+    with pytest.raises(NoModelError, match="is outside `robot_descriptions:toy_mj_description`"):
         find_model(f"{toy}/../secret.xml", document, ".xml")
     with pytest.raises(NoModelError, match="has no urdf file"):
         find_model(toy, document, ".urdf")
-    with pytest.raises(NoModelError, match="`robot_descriptions` has no `tin_description`; update it"):
+    with pytest.raises(
+        NoModelError, match="`robot_descriptions` does not provide `tin_description`; update that package"
+    ):
         find_model("robot_descriptions:tin_description", document, ".xml")
 
 
@@ -103,12 +105,16 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     monkeypatch.setenv("MENAGERIE_ROOT", "")
     monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setenv("MENAGERIE_BASE_URL", (tmp_path / "site").as_uri())
-    with pytest.raises(NoModelError, match=r"not downloaded yet; run `python -m mujoco_menagerie prefetch i2rt_yam`"):
+    with pytest.raises(
+        NoModelError, match=r"has not been downloaded; run `python -m mujoco_menagerie prefetch i2rt_yam`"
+    ):
         find_model(YAM, document, ".xml", fetch=False)
     assert not (tmp_path / "cache").exists()
-    with pytest.raises(NoModelError, match=r"could not fetch `i2rt_yam`: file://.*not found"):
+    with pytest.raises(NoModelError, match=r"could not download `i2rt_yam`: file://.*not found"):
         find_model(YAM, document, ".xml")
-    with pytest.raises(NoModelError, match=r"does not know it: Unknown robot 'i2rt_yan'\. Did you mean 'i2rt_yam'\?"):
+    with pytest.raises(
+        NoModelError, match=r"does not provide it: Unknown robot 'i2rt_yan'\. Did you mean 'i2rt_yam'\?"
+    ):
         find_model("menagerie:i2rt_yan", document, ".xml")
     (tmp_path / "models" / "i2rt_yam").mkdir(parents=True)
     model = tmp_path / "models" / "i2rt_yam" / "yam.xml"
@@ -117,7 +123,7 @@ def test_models_of_menagerie_are_found_and_never_fetched_unasked(
     monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "models"))
     assert find_model(YAM, document, ".xml", fetch=False) == model.resolve()
     assert find_model("menagerie:i2rt_yam", document, ".xml") == model.resolve()
-    with pytest.raises(NoModelError, match="leaves `menagerie:i2rt_yam`"):
+    with pytest.raises(NoModelError, match="is outside `menagerie:i2rt_yam`"):
         find_model("menagerie:i2rt_yam/../secret.xml", document, ".xml")
     with pytest.raises(NoModelError, match=r"`menagerie:i2rt_yam` has no file hand\.xml"):
         find_model("menagerie:i2rt_yam/hand.xml", document, ".xml")
@@ -135,7 +141,7 @@ def test_what_failed_to_be_fetched_is_not_tried_again(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(menagerie.Cache, "resolve", offline)
     for _ in range(3):
-        with pytest.raises(NoModelError, match="could not fetch `i2rt_yam`: no network"):
+        with pytest.raises(NoModelError, match="could not download `i2rt_yam`: no network"):
             find_model(YAM, tmp_path / "a.scene.yaml", ".xml")
     assert tried == ["i2rt_yam"]
 
@@ -146,7 +152,7 @@ def test_the_reason_of_a_package_that_is_here_says_more(monkeypatch: pytest.Monk
     monkeypatch.delenv(OWN_ROBOTS, raising=False)
     scene = lower_file(WITH_ROBOTS[0])
     (reason,) = [left.reason for left in scene.left_out if left.path.startswith("robots.")]
-    assert reason.startswith("no model found: mujoco-menagerie could not fetch `franka_emika_panda`")
+    assert reason.startswith("no model found: mujoco-menagerie could not download `franka_emika_panda`")
 
 
 def test_descriptions_are_not_cloned_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,7 +175,9 @@ def test_descriptions_are_not_cloned_unasked(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "clones"))
     monkeypatch.delenv("GIT_ALLOW_PROTOCOL", raising=False)
     toy = "robot_descriptions:toy_mj_description"
-    with pytest.raises(NoModelError, match="not downloaded yet; run `robot_descriptions pull toy_mj_description`, or"):
+    with pytest.raises(
+        NoModelError, match="has not been downloaded; run `robot_descriptions pull toy_mj_description`, or"
+    ):
         find_model(toy, tmp_path / "a.scene.yaml", ".xml", fetch=False)
     (tmp_path / "clones" / "toys" / ".git").mkdir(parents=True)
     (tmp_path / "clones" / "toys" / "toy.xml").write_text("<mujoco/>")

@@ -36,7 +36,9 @@ def test_a_module_leads_to_the_extra_that_brings_it(monkeypatch: pytest.MonkeyPa
     assert how_to_install("zmq") == "pip install 'simfoundry[policies]'"
     assert how_to_install("some_thing.part") == "pip install some-thing"
     monkeypatch.setitem(sys.modules, "daqp", None)
-    with pytest.raises(MissingExtraError, match=r"^the expert needs daqp; install with `pip install 'simfoundry\[exp"):
+    with pytest.raises(
+        MissingExtraError, match=r"^the expert requires daqp; install with `pip install 'simfoundry\[exp"
+    ):
         need_extra("expert", "the expert")
 
 
@@ -44,4 +46,4 @@ def test_the_expert_without_its_packages_is_a_sentence_before_anything_runs(tmp_
     task = REPOSITORY / "specs" / "tasks" / "cup_in_bowl.task.yaml"
     done = python(without("mink"), "eval", task, "-p", "expert", "-o", tmp_path / "out")
     assert done.code == 2 and not (tmp_path / "out").exists()
-    assert done.err == "Error: policy `expert` needs mink; install with `pip install 'simfoundry[expert]'`\n"
+    assert done.err == "Error: policy `expert` requires mink; install with `pip install 'simfoundry[expert]'`\n"

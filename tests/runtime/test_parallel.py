@@ -47,5 +47,5 @@ def test_no_process_is_started_for_little_work_or_on_one_core(monkeypatch: pytes
 
 
 def test_a_process_that_is_killed_is_a_sentence() -> None:
-    with pytest.raises(SimfoundryError, match="ended with exit code 1"):
+    with pytest.raises(SimfoundryError, match="exited with code 1"):
         map_parallel(dies_elsewhere, range(SERIAL_TRIAL + 50), startup_s=0.0, processes=2)

@@ -40,7 +40,7 @@ def test_a_package_adds_to_what_is_built_in(site: Path) -> None:
 def test_an_unknown_name_says_which_exist(site: Path) -> None:
     """Those of plug-ins too."""
     write_package(site, "ab", {"simfoundry.backends": {"tau": "ab:X"}}, {})
-    with pytest.raises(UnknownExtensionError, match=r"no backend is called `ta`; there are: `pi`, `gone`, `tau`$"):
+    with pytest.raises(UnknownExtensionError, match=r"no backend is called `ta`; available: `pi`, `gone`, `tau`$"):
         BACKENDS.load("ta")
 
 
@@ -71,7 +71,7 @@ def test_two_packages_with_one_name_are_told_apart(site: Path) -> None:
         write_package(site, name, {"simfoundry.backends": {"tau": f"{name}:X"}}, {f"{name}.py": "X = 1.0"})
     assert "tau" in BACKENDS.names()
     with pytest.raises(
-        SimfoundryError, match=r"of the package (one|two) 0.1 .* the package (one|two) 0.1 provides one"
+        SimfoundryError, match=r"of the package (one|two) 0.1 .* the package (one|two) 0.1 provides an extension"
     ):
         BACKENDS.load("tau")
 

@@ -110,7 +110,7 @@ def test_memory_is_bounded(worker: Worker) -> None:
 def test_what_is_raised_is_told(worker: Worker) -> None:
     with pytest.raises(WorkerError, match=r"failed \(ValueError: no such thing\)"):
         worker.call(f"{HERE}:wrong")
-    with pytest.raises(WorkerError, match="ended with exit code 3"):
+    with pytest.raises(WorkerError, match="exited with code 3"):
         worker.call(f"{HERE}:leave")
 
 
@@ -159,7 +159,7 @@ def test_a_pool_outlives_crashes_and_repeats_what_it_is_asked_to() -> None:
         results = dict(pool.next() for _ in range(6))
     finally:
         pool.close()
-    assert isinstance(results[2], WorkerError) and results[2].how == "ended with exit code 3"
+    assert isinstance(results[2], WorkerError) and results[2].how == "exited with code 3"
     assert all(isinstance(results[k], int) for k in (0, 1, 3, 4, 5))
 
 

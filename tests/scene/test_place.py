@@ -186,10 +186,10 @@ def test_other_impossible_places() -> None:
     cube = solid("cube", CUBE, pose(0, 0, 0))
     bare = replace(cube, name="bare", links=(replace(cube.links[0], colliders=(), visuals=()),))
     cases = [
-        (cube, Place(on="bare"), "`bare` has no colliders, so it supports nothing"),
+        (cube, Place(on="bare"), "`bare` has no colliders, so it cannot support objects"),
         (bare, Place(on="desk"), "`bare` has no shape to place"),
         (cube, Place(inside="desk.drawer"), "`desk` has no link `drawer`"),
-        (cube, Place(on="ghost"), "`ghost` has no place itself"),
+        (cube, Place(on="ghost"), "`ghost` is not placed itself"),
     ]
     for item, place, message in cases:
         with pytest.raises(PlaceError) as error:

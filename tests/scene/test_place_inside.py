@@ -171,9 +171,7 @@ def test_a_block_has_no_inside() -> None:
     block = solid("block", CUBE, pose(0, 0, 0))
     with pytest.raises(PlaceError) as error:
         put(solid("ball", Sphere(0.01), pose(0, 0, 0)), Place(inside="block"), block)
-    assert error.value.message == (
-        "`ball` cannot be inside `block`, whose colliders are one convex part without a hollow"
-    )
+    assert error.value.message == ("`ball` cannot be inside `block`, whose only collider is convex and has no cavity")
 
 
 # -- a drawer ---------------------------------------------------------------------------------------------------------

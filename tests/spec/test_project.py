@@ -62,7 +62,7 @@ def test_what_is_named_is_checked(tree: Path) -> None:
     assert run("check", "--json", "a/bad/x.scene.yaml").json["files"] == ["a/bad/x.scene.yaml"]
     done = run("check")
     assert done.code == 2
-    assert "there is no document below . but 3 that simfoundry.yaml excludes" in done.err
+    assert "could not find any documents below . except 3 excluded by simfoundry.yaml" in done.err
 
 
 def test_a_project_inside_another_excludes_its_own(tree: Path) -> None:

@@ -81,7 +81,7 @@ def test_a_missing_engine_is_a_line_unless_it_is_required(spec: Path, monkeypatc
     assert "not installed" in done.out
     required = run("verify", spec, "--require", "sapien", "--no-behaviors")
     assert required.code == 1
-    assert "sapien is required but was not found" in required.err
+    assert "sapien is required, but it was not found" in required.err
 
 
 def test_what_cannot_be(spec: Path, tmp_path: Path) -> None:
@@ -89,10 +89,10 @@ def test_what_cannot_be(spec: Path, tmp_path: Path) -> None:
     empty.mkdir()
     for arguments, message in (
         (["--engine", "bullet"], "no engine is called `bullet`"),
-        ([str(empty)], "contains no scenes"),
+        ([str(empty)], "does not contain any scenes"),
         (["--no-behaviors"], "there is nothing to verify"),
-        (["--build", str(empty)], "--build needs exactly one scene"),
-        ([str(spec), "--build", str(empty), "--engine", "mujoco"], "contains none of mjcf"),
+        (["--build", str(empty)], "--build requires exactly one scene"),
+        ([str(spec), "--build", str(empty), "--engine", "mujoco"], "does not contain any of mjcf"),
     ):
         done = run("verify", *arguments)
         assert done.code == 2, arguments

@@ -152,7 +152,7 @@ def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None
     assert done.json["accepted"] == 3 and done.json["end"] == "complete"
     assert len(list((project / "out").glob("*.scene.yaml"))) == 3
     page = (project / "out" / "gallery.html").read_text()
-    assert page.count("<img ") == 1 and page.count("<figure>") == 1 and "2 more are in" in page
+    assert page.count("<img ") == 1 and page.count("<figure>") == 1 and "2 more cousins are listed in" in page
     again = run("cousins", recipe, "-n", "3", "-o", project / "out", "-j", "1", "--gallery", "1")
     assert again.code == 0 and "3 of 3 cousins" in again.out
     told = run("diff", project / "table.scene.yaml", next((project / "out").glob("*.scene.yaml")))

@@ -511,7 +511,7 @@ def test_the_command_writes_the_edit_into_the_document(desk: Project) -> None:
         "place: {on: desk, right_of: plate, gap: 0.05}  # within reach", "pose: {xyz: [0.61, -0.05, 0.05]}"
     )
     again = run("import", path, "--onto", out)
-    assert again.code == 0 and again.out.strip().endswith("nothing to change")
+    assert again.code == 0 and again.out.strip().endswith("no changes")
 
 
 def test_a_folder_of_stages_comes_back_as_their_documents(desk: Project) -> None:
