@@ -220,7 +220,7 @@ def test_a_key_shows_its_words_with_the_unit(editor: Editor, text: str, words: s
 
 def test_a_choice_shows_what_each_word_means(editor: Editor) -> None:
     shown = editor.hover(f"{OBJECT}coll|ision: hull")
-    assert "* `hull`: One convex hull." in shown and "* `none`: No collision at all." in shown
+    assert "* `hull`: One convex hull." in shown and "* `none`: No collision." in shown
 
 
 # -- diagnostics ----------------------------------------------------------------------------------------------------
