@@ -46,7 +46,7 @@ PATTERNS = {
     JOINT_NAME: PatternText("joint", "joint", "the name of a joint, as the robot's own model has it"),
     WIRE_KEY: PatternText("key", "key", "a key of the policy's own, as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
-        "VARIABLE", "environment variable", "the name of an environment variable in capitals, never a key itself"
+        "VARIABLE", "environment variable", "the name of an environment variable in capitals, not the key itself"
     ),
 }
 
