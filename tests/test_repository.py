@@ -220,7 +220,7 @@ def test_the_reference_says_type_meaning_and_default() -> None:
     lines = reference().splitlines()
     assert "| `mass` | number > 0 or [estimate](#estimate) | Mass [kg]. | – |" in lines
     assert "| `size` | [integer 1 to 8192] × 2 | Width and height of the image [px]. | **required** |" in lines
-    assert "| `fixed` | `true`, `false` | Welded to the world. | `false` |" in lines
+    assert "| `fixed` | `true`, `false` | If true, the object is welded to the world. | `false` |" in lines
     assert lines.count("### Shape") == lines.count("### Pose") == 1
 
 

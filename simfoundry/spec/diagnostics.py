@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 SHOWN = 160
-"""Longest part of a source line that is shown [columns]: the width of a wide terminal."""
+"""Maximum displayed length of a source line [columns], which is the width of a wide terminal."""
 
 
 class Severity(StrEnum):
@@ -48,7 +48,7 @@ class Diagnostic:
 
 
 class SpecError(Exception):
-    """Error with findings that prevent further work; all of them are shown."""
+    """Raised if findings prevent further processing; the message contains all of the findings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)
@@ -56,13 +56,13 @@ class SpecError(Exception):
 
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """Return findings in reading order, each once."""
+    """Return the findings in reading order, without duplicates."""
     return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Return the key or value of our language for each synonym and each term of other formats."""
+    """Return the key or value in our language for each synonym, including terms from other formats."""
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
@@ -147,5 +147,5 @@ def _line_of(d: Diagnostic, sources: dict[str, list[str]]) -> str | None:
 
 
 def _single(line: str) -> str:
-    """Return a line in which every character takes one column, so that the caret is aligned."""
+    """Return a line in which every character occupies one column, so that the caret is aligned."""
     return "".join(c if c.isprintable() else " " for c in line)

@@ -1,4 +1,4 @@
-"""Documents with their findings, and the files that they refer to: existence, file type, and project containment."""
+"""Documents with their findings, and checks that the files they refer to exist, fit, and are inside the project."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 ASSET_SUFFIX = ".asset.yaml"
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
-"""Longest file reference [characters]: well below the 4096 of Linux, to leave room for the project folder."""
+"""Maximum length of a file reference [characters]; well below Linux's 4096, to leave room for the project folder."""
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
 class FileError(Exception):
-    """Error with the reason why a document cannot use a file."""
+    """Raised if a document cannot use a file; the message states the reason."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -35,7 +35,7 @@ def is_document(reference: str) -> bool:
 
 
 def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
-    """Return the package, robot, and path of a model that a package downloads on first use; None for other files.
+    """Return the package, robot, and path of a model that a package downloads on first use, or None for other files.
 
     The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
     """
@@ -118,12 +118,12 @@ def shown(reference: str, document: Path) -> Path:
 
 @dataclass(frozen=True)
 class Loaded:
-    """Checked document.
+    """A document that has been read and checked.
 
-    ``spec`` is its typed content, including everything that it extends (None if there are errors); ``document`` is the
-    underlying text (None if it cannot be read). ``bases`` are the files that it extends. ``uses`` contains the
-    documents that it refers to by resolved path: assets, and the scene of a task. ``silenced`` are warnings that its
-    ``allow`` suppressed.
+    ``spec`` is the typed content, including everything that the document extends, or None if there are errors.
+    ``document`` is the underlying text, or None if it could not be read. ``bases`` are the files that the document
+    extends. ``uses`` contains, by resolved path, the documents that it refers to: assets, and the scene of a task.
+    ``silenced`` contains the warnings suppressed by the document's ``allow``.
     """
 
     path: Path
@@ -145,7 +145,7 @@ class Loaded:
         return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
     def files(self) -> list[Path]:
-        """Return all files that this document was read from: itself, its bases, and those of documents that it uses."""
+        """Return all files that were read: this document, its bases, and the files of documents that it uses."""
         return [self.path, *self.bases, *(file for used in self.uses.values() for file in used.files())]
 
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:

@@ -19,22 +19,22 @@ from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse, read
 
 Known = dict[tuple[str, str], Loaded | None]
-"""Documents read so far, by resolved path and requested kind, so that each is read only once."""
+"""Documents read so far by resolved path and requested kind, so that each document is read only once."""
 
 _OTHER_FORMATS = dict.fromkeys(
     (".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled.loading:load_usd"
 )
 """Functions that read documents from files other than YAML, by suffix.
 
-They belong to a higher layer, so they are listed by name and imported on first use.
+The functions belong to a higher layer, so they are specified by name and imported on first use.
 """
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
-    """Read and check one document; errors are returned as findings, not raised.
+    """Read and check one document; errors are returned as findings instead of being raised.
 
-    Documents that it uses are looked up in ``known`` and added to it. If ``text`` is given, it is checked as if it were
-    the content of the file. A USD file is read as the scene that it was compiled from.
+    Documents that this document uses are looked up in ``known`` and added to it. If ``text`` is given, it is used
+    instead of the content of the file. A USD file is read as the scene from which it was compiled.
     """
     known = {} if known is None else known
     if text is None and path.suffix.lower() in _OTHER_FORMATS:
@@ -61,7 +61,7 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
 
 
 def checked(read: Loaded, kind: str, known: Known) -> Loaded:
-    """Check the types, names, and files of a document that was read and joined."""
+    """Check the types, names, and files of a document that has already been read and joined with its bases."""
     path, root, document, bases, findings = read.path, read.root, read.document, read.bases, list(read.findings)
     assert document is not None
     model = model_of(kind)
@@ -101,7 +101,7 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
 
 
 def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
-    """Load a document that another uses; None for other kinds, which are not read further to avoid cycles."""
+    """Load a document that another document uses; return None for other kinds, which are skipped to avoid cycles."""
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:
@@ -113,7 +113,7 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded
 
 
 def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
-    """Return the kind that the first key of a document names, or a finding."""
+    """Return the kind specified by the first key of a document, or a finding if the kind is invalid."""
     data = document.data
     if not isinstance(data, dict):
         message, value = "a document is a mapping that starts with `simfoundry: scene/1`", None
@@ -127,13 +127,14 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
 
 
 MAX_BASES = 16
-"""Largest number of documents in a chain of `extends`, which bounds the work for malicious input."""
+"""Maximum number of documents in a chain of `extends`, which limits the work for malicious input."""
 
 
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
-    """Return the joined document, findings, and the files that it extends, nearest first.
+    """Join a document with the documents that it extends.
 
-    If a base cannot be used, the document is returned unchanged, and a finding gives the reason.
+    Returns the joined document, the findings, and the files that it extends, nearest first. If a base cannot be used,
+    the document is returned unchanged, and a finding states the reason.
     """
     chained, findings, bases = [document], list[Diagnostic](), list[Path]()
     path = Path(document.file)
@@ -207,7 +208,7 @@ def _own(node: Node, file: str) -> None:
 
 @dataclass
 class _Joining:
-    """State of joining the document ``file`` with its base."""
+    """The state of joining the document ``file`` with its base."""
 
     kind: str
     file: str
@@ -215,7 +216,7 @@ class _Joining:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
 
     def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
-        """Return ``base`` overridden by ``over``: mappings are joined by key, null removes, others are replaced."""
+        """Return ``base`` overridden by ``over``: mappings are merged by key, null removes a key."""
         if not isinstance(base.children, dict) or not isinstance(over.children, dict):
             return over
         children, keys = dict(base.children), dict(base.keys)
@@ -235,7 +236,7 @@ class _Joining:
         return _mapping(over, children, {key: keys[key] for key in children})
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
-        """Return the keys that ``key`` replaces; empty for named mappings."""
+        """Return the keys that ``key`` replaces; the result is empty for named mappings."""
         rivals = sorted(RIVALS.get(key, set()) & children.keys())
         if rivals:
             models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
@@ -256,7 +257,7 @@ def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, i
 
 
 def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
-    """Make the file references of a base relative to the folder of the document that extends it."""
+    """Rewrite the file references in a base to be relative to the folder of the document that extends the base."""
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return

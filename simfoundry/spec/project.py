@@ -1,4 +1,4 @@
-"""Project of a document: its folder and its marker file ``simfoundry.yaml``."""
+"""Find the project that a document belongs to: its folder and its marker file ``simfoundry.yaml``."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class ProjectSpec(Model):
 
 @dataclass(frozen=True)
 class Project:
-    """Project folder, which contains all files of its documents."""
+    """A project folder, which contains all files that its documents use."""
 
     root: Path
 
     @property
     def marker(self) -> Path:
-        """Return the path of the marker file; a repository without one is a project as well."""
+        """Return the path of the marker file, which may be missing if the project is a git repository."""
         return self.root / MARKER
 
     @property
@@ -55,7 +55,7 @@ class Project:
 
     @cached_property
     def exclude(self) -> tuple[str, ...]:
-        """Return the patterns of files and folders that commands on folders skip.
+        """Return the patterns for files and folders that are skipped by commands that process folders.
 
         Raises :class:`SpecError` if the marker file cannot be read.
         """
@@ -90,7 +90,7 @@ class Project:
 
 
 def find_project(path: Path) -> Project | None:
-    """Find the project of a file or folder: the nearest parent folder with ``simfoundry.yaml``, else with ``.git``."""
+    """Find the project of a file or folder: the nearest parent with ``simfoundry.yaml``, or otherwise with ``.git``."""
     real = Path(os.path.realpath(path))  # unlike `Path.resolve`, it also works for cyclic symbolic links
     start = real if real.is_dir() else real.parent
     folders = (start, *start.parents)
@@ -139,11 +139,11 @@ def common_project(*files: Path) -> Project:
 
 
 class NoProjectError(Exception):
-    """Error with the reason why files cannot be in one project, in one sentence."""
+    """Raised if files cannot belong to one project; the message is one sentence with the reason."""
 
 
 def markers(project: Project) -> dict[Path, str]:
-    """Return the marker file to write for a project, by path; empty if it is marked or its folder is shared."""
+    """Return the marker file to write by path; empty if the project already has one or its folder is shared."""
     return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
 
 

@@ -190,20 +190,20 @@ def test_a_key_brings_a_first_value_in_the_canonical_form(editor: Editor) -> Non
         (f"{OBJECT}ma|ss: {{value: 0.3}}", "Mass [kg]."),
         (f"{OBJECT}mass: {{val|ue: 0.3}}", "[kg, or kg/m^3]"),
         (f"{OBJECT}den|sity: 300", "Density [kg/m^3]"),
-        (f"{OBJECT}po|se: {{yaw_deg: 10}}", "Pose of its frame in the world."),
+        (f"{OBJECT}po|se: {{yaw_deg: 10}}", "Pose of the object's frame in the world."),
         (f"{OBJECT}pose: {{x|yz: [0, 0, 1]}}", "Position [m]; default: [0, 0, 0]."),
         (f"{OBJECT}pose: {{ya|w_deg: 10}}", "Rotation about z [deg]."),
-        (f"{OBJECT}pla|ce: {{on: table}}", "Placement from which its pose is computed"),
+        (f"{OBJECT}pla|ce: {{on: table}}", "Placement from which the pose is computed"),
         (f"{OBJECT}place: {{on: table, left_of: cup, g|ap: 0.05}}", "[m]; default: 0.03."),
         (f"{OBJECT}sha|pe: {{box: [1, 1, 1]}}", "A primitive."),
         (f"{OBJECT}shape: {{bo|x: [1, 1, 1]}}", "Full extents along x, y, z [m]."),
         (f"{OBJECT}shape: {{cyl|inder: {{radius: 1, height: 1}}}}", "Radius and height [m]."),
         (f"{OBJECT}shape: {{cylinder: {{ra|dius: 1, height: 1}}}}", "Radius [m]."),
-        (f"{SCENE}gra|vity: [0, 0, -1.6]", "Acceleration of gravity [m/s^2]"),
-        (f"{SCENE}objects:\n  cu|p: {{mass: 1}}", "An object of the scene"),
+        (f"{SCENE}gra|vity: [0, 0, -1.6]", "Gravitational acceleration [m/s^2]"),
+        (f"{SCENE}objects:\n  cu|p: {{mass: 1}}", "An object in the scene"),
         (f"{SCENE}cameras:\n  front: {{f|x: 600}}", "Focal length in x [px]."),
         (f"{OVERLAY}objects:\n  cup: {{ma|ss: 0.3}}", "Mass [kg]."),
-        (f"{OVERLAY}objects:\n  cup: {{po|se: {{yaw_deg: 10}}}}", "Pose of its frame in the world."),
+        (f"{OVERLAY}objects:\n  cup: {{po|se: {{yaw_deg: 10}}}}", "Pose of the object's frame in the world."),
         ("ext|ends: b.scene.yaml\n" + SCENE, "`null` removes"),
         (f"{TASK}goal: OnTop(a, b)\ncontrol|_hz: 15", "Control frequency [Hz]; default: 15."),
         (f"{TASK}goal: OnTop(a, b)\nreset: {{objects: {{cup: {{x|: [0, 1], y: [0, 1]}}}}}}", "in the world [m]"),
@@ -220,7 +220,7 @@ def test_a_key_shows_its_words_with_the_unit(editor: Editor, text: str, words: s
 
 def test_a_choice_shows_what_each_word_means(editor: Editor) -> None:
     shown = editor.hover(f"{OBJECT}coll|ision: hull")
-    assert "* `hull`: One convex hull." in shown and "* `none`: No collision at all." in shown
+    assert "* `hull`: One convex hull." in shown and "* `none`: No collision." in shown
 
 
 # -- diagnostics ----------------------------------------------------------------------------------------------------

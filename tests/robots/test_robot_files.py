@@ -271,7 +271,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest
             "mjcf: {file: a.xml, arms: 2}",
             "mjcf.arms: Extra inputs are not permitted; see docs/robots.md for the format",
         ),
-        ("mjcf: [", "is not a robot file"),
+        ("mjcf: [", "is not a valid robot file"),
         ("- 1", "the file: Input should be an object"),
     ],
 )

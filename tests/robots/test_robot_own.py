@@ -112,9 +112,9 @@ def test_an_arm_that_takes_no_positions_is_refused(bench: Path, actuator: str) -
     ("text", "said"),
     [
         ("mjcf: {file: models/arm.xml, arms: 2}", "my_arm.yaml: mjcf.arms: Extra inputs are not permitted"),
-        (FILE.replace("  joints: [turn, reach]\n", ""), "`joints` must list the arm's joints where there is a gripper"),
-        ("{}", "my_arm.yaml names no model; give `mjcf`, `urdf` or `usd`"),
-        ("mjcf: [", "robots/my_arm.yaml is not a robot file: line "),
+        (FILE.replace("  joints: [turn, reach]\n", ""), "`joints` must list the arm joints if the model has a gripper"),
+        ("{}", "my_arm.yaml does not define a model; add `mjcf`, `urdf` or `usd`"),
+        ("mjcf: [", "robots/my_arm.yaml is not a valid robot file: line "),
     ],
 )
 def test_a_faulty_robot_file_is_found_at_its_place_in_the_scene(bench: Path, text: str, said: str) -> None:
@@ -126,7 +126,9 @@ def test_a_faulty_robot_file_is_found_at_its_place_in_the_scene(bench: Path, tex
 def test_a_robot_file_and_bare_models_exclude_each_other(bench: Path) -> None:
     scene = bench.with_name("bench.scene.yaml")
     scene.write_text(SCENE.replace("{mjcf: arm.xml}", "{file: robots/my_arm.yaml, mjcf: robots/models/arm.xml}"))
-    assert any("`file` names all models: remove `mjcf`, or `file`" in str(e) for e in load(scene).errors)
+    assert any(
+        "`file` already defines all models; remove either `mjcf` or `file`" in str(e) for e in load(scene).errors
+    )
     scene.write_text(SCENE.replace("{mjcf: arm.xml}", "{file: robots/absent.yaml}"))
     assert any("robots/absent.yaml" in e.message for e in load(scene).errors)
 
@@ -145,9 +147,9 @@ def test_a_folder_of_robot_files_makes_them_known_by_name(bench: Path, monkeypat
     scene.write_text(scene.read_text().replace("{file: robots/my_arm.yaml}", "my_arm"))
     assert any("my_arm" in d.message for d in load(scene).errors)
     monkeypatch.setenv(OWN_ROBOTS, str(robots))
-    with pytest.raises(SimfoundryError, match="needs `reach`, `opening` and `home`"):
+    with pytest.raises(SimfoundryError, match="must define `reach`, `opening` and `home`"):
         find_robot("my_arm")
-    assert any("needs `reach`, `opening` and `home`" in d.message for d in load(scene).errors)
+    assert any("must define `reach`, `opening` and `home`" in d.message for d in load(scene).errors)
     known = FILE.replace("links: {", "links: {boom: {link: boom}, ")
     (robots / "my_arm.yaml").write_text(f"reach: 0.4\nopening: 0.06\npayload: 0.5\nhome: [0.1, 0]\n{known}")
     assert not load(scene).errors

@@ -89,7 +89,7 @@ def test_what_cannot_be(spec: Path, tmp_path: Path) -> None:
     empty.mkdir()
     for arguments, message in (
         (["--engine", "bullet"], "no engine is called `bullet`"),
-        ([str(empty)], "contains no scenes"),
+        ([str(empty)], "does not contain any scenes"),
         (["--no-behaviors"], "there is nothing to verify"),
         (["--build", str(empty)], "--build requires exactly one scene"),
         ([str(spec), "--build", str(empty), "--engine", "mujoco"], "does not contain any of mjcf"),

@@ -24,7 +24,7 @@ from simfoundry.spec.yaml.write import to_data
 
 @dataclass(frozen=True)
 class Side:
-    """State of a document; ``label`` is its display name (``HEAD~1:desk.scene.yaml``).
+    """One of two compared states of a document; ``label`` is its display name, such as ``HEAD~1:desk.scene.yaml``.
 
     ``spec`` is the valid part of the document, or None if no part is valid; ``text`` is the file content.
     """
@@ -43,7 +43,7 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """Two states of the document ``name``; a side is None if the document does not exist in that state."""
+    """Comparison of two states of the document ``name``; a side is None if the document does not exist then."""
 
     name: str
     old: Side | None
@@ -65,7 +65,7 @@ class DocumentComparison:
 
     @property
     def along(self) -> tuple[str, ...]:
-        """Return the objects that moved only because the object their place refers to moved."""
+        """Return the objects that moved only because an object that their place refers to moved."""
         if self.new is None or not isinstance(self.new.spec, SceneSpec):
             return ()
         named = {e.name for e in self.entries if e.section == "objects"}
@@ -76,7 +76,7 @@ class DocumentComparison:
         return tuple(name for name in places if name in gone - named)
 
     def lines(self) -> list[str]:
-        """Return the changes, followed by a line that counts them."""
+        """Return one line for each change, followed by a summary line."""
         if self.obstacle:
             return [f"cannot be compared: {self.obstacle}"]
         if self.old is None or self.new is None:
@@ -132,7 +132,7 @@ def compare(
 
 
 def _named_alike(old: Side, new: Side) -> dict[str, Any]:
-    """Return the old data with file references relative to the new folder, if both lie in one project."""
+    """Return the old data with file references relative to the new folder if both folders are in the same project."""
     assert old.spec is not None
     if old.loaded.root != new.loaded.root:
         return old.data
@@ -151,7 +151,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a copy of a finding whose file is the display name of the side."""
+    """Return a copy of a finding with the file name replaced by the display name of the side."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -205,7 +205,7 @@ def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str
     """Summarize the changes of a file that both sides refer to; empty if the file is unchanged."""
     before, after = old.used(reference), new.used(reference)
     if before is None or after is None:
-        return f"{reference} is another file" if _bytes(old, reference) != _bytes(new, reference) else ""
+        return f"{reference} is a different file" if _bytes(old, reference) != _bytes(new, reference) else ""
     if before.spec is None or after.spec is None:
         return ""
     entries = describe(to_data(before.spec), to_data(after.spec), _model(after), verbose=verbose)

@@ -1,8 +1,8 @@
-"""Edit the text of a document in place; bytes that the edit does not affect stay unchanged.
+"""Edit the text of a document in place, leaving all unaffected bytes unchanged.
 
-The difference between the current data and the target data is applied change by change. A value is replaced in place, a
-member is removed together with the comments above it, and a new member is inserted after its neighbor in canonical
-form. If a change cannot be applied in place, for example an edit of an anchor that has aliases, the whole text is
+The changes from the current data to the target data are applied one at a time. Values are replaced in place, members
+are removed together with the comments above them, and new members are inserted after their neighbor in canonical form.
+If a change cannot be applied in place, for example because it edits an anchor that has aliases, the entire text is
 rewritten in canonical form; comments are kept.
 """
 
@@ -28,9 +28,9 @@ _BOM = "\ufeff"
 
 
 def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
-    """Return ``text`` edited so that it contains ``data``; bytes that the difference does not affect stay unchanged.
+    """Edit ``text`` so that it contains ``data``, leaving all unaffected bytes unchanged.
 
-    The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` cannot be read.
+    The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` could not be parsed.
     """
     body = text.removeprefix(_BOM)
     document = parse(body)
@@ -52,10 +52,11 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
 
 
 def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
-    """Return the document's own data that, joined with its base, changes ``before`` into ``after``.
+    """Return the data that a document must contain so that joining it with its base changes ``before`` to ``after``.
 
-    ``own`` is the document's current data and ``base`` the data of the document that it extends, both at the same path;
-    :data:`ABSENT` means that there is none. Members of the base that ``after`` lacks are removed with null.
+    ``own`` is the document's current data, and ``base`` is the data of the document that it extends, both at the same
+    path; either may be :data:`ABSENT`. Members of the base that are not in ``after`` are set to null, which removes
+    them.
     """
     if before is not ABSENT and after is not ABSENT and same(before, after):
         return own
@@ -76,7 +77,7 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
 
 
 def _same_content(a: Any, b: Any) -> bool:
-    """Return True if two values are equal up to the order of keys and the spelling of predicates."""
+    """Return True if two values are equal, ignoring the order of keys and the spelling of predicates."""
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(_same_content(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
@@ -149,7 +150,7 @@ Splice = tuple[int, int, str]
 
 @dataclass
 class _Round:
-    """One pass over a text; it applies renames, else value changes, else one removed or added member."""
+    """One pass over a text, which applies either renames, value changes, or the removal or addition of one member."""
 
     document: Document
     data: Any
@@ -162,7 +163,7 @@ class _Round:
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
     def splices(self) -> list[Splice]:
-        """Return the next replacements; empty if the changes cannot be applied in place."""
+        """Return the next replacements, or an empty list if the changes cannot be applied in place."""
         changes: list[Change] = [*diff(self.document.data, self.data)]
         renames = [self._key(c) for c in changes if isinstance(c, Rename)]
         if renames:
@@ -183,13 +184,13 @@ class _Round:
 
     @staticmethod
     def _without_nested(splices: list[Splice]) -> list[Splice]:
-        """Drop splices that lie within another splice."""
+        """Drop splices that are contained in another splice."""
         return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
 
     # -- positions --------------------------------------------------------------------------------------------------
 
     def _steps(self, path: Path_) -> list[_Span]:
-        """Return the spans along a path, starting with the whole text, down to the last one that exists."""
+        """Return the existing spans along a path, starting with the span of the whole text."""
         spans, data = [self.root], self.document.data
         for k, part in enumerate(path):
             here, children = members(data, path[:k]), spans[-1].children
@@ -234,7 +235,7 @@ class _Round:
         return end - (self.text[end - 1 : end] == "\r")
 
     def _entry_end(self, span: _Span) -> int:
-        """Return the end of the last line of a block entry, including comments below it that are indented deeper."""
+        """Return the end of the last line of a block entry, including more deeply indented comments below it."""
         end, column = self._line_end(span.end), span.key - self._line(span.key)
         while (start := self.text.find("\n", end) + 1) > 0:
             line = self.text[start : self._line_end(start)]
@@ -360,7 +361,7 @@ class _Round:
         return end, end, self.newline + self.newline.join([*blank, *lines])
 
     def _neighbor(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
-        """Return the entry after which a new one is inserted: the last entry before it in canonical order."""
+        """Return the entry after which a new entry is inserted, i.e. its predecessor in canonical order."""
         slot: KeyOrder = key_order(self.model)
         for part in path[:-1]:
             slot = slot.member(part)

@@ -14,11 +14,11 @@ from simfoundry.spec.yaml.write import write_tree
 
 
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
-    """Return the canonical text of a composed document with the values of all defaults.
+    """Return the canonical text of a composed document with all default values written out.
 
-    Fields without a value of their own (such as a friction coefficient that comes from the material) are omitted.
-    Flattening the result again gives the same text. File references stay relative to ``folder``, the document's folder,
-    or become relative to ``into``.
+    Fields whose value is derived from elsewhere, such as a friction coefficient defined by the material, are omitted.
+    Flattening is idempotent. File references are relative to ``into`` if it is given, and otherwise to ``folder``,
+    which is the document's folder.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -37,7 +37,7 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 of a flattened text in hex; it does not depend on how a document is formatted."""
+    """Return the SHA-256 of a flattened text as hex digits; it does not depend on the formatting of a document."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -66,7 +66,7 @@ def _plain(value: Any) -> Any:
 
 
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """Make the file references at ``pattern`` relative to another folder."""
+    """Rewrite the file references at ``pattern`` to be relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)

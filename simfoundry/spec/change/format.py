@@ -1,4 +1,4 @@
-"""Rewrite documents: canonical format, and migration of older documents; comments are kept."""
+"""Format documents canonically and migrate older documents, keeping comments."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class Formatted:
 
 
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
-    """Return the canonical form of a document; raises :class:`SpecError` if the text cannot be read.
+    """Return the canonical form of a document; raises :class:`SpecError` if the text could not be parsed.
 
-    If ``schema`` (a relative path or a URL) is given, the first line names it for editors; otherwise an existing schema
-    line is kept.
+    If ``schema`` (a relative path or a URL) is given, the first line refers editors to it; otherwise, an existing
+    schema line is kept.
     """
     try:
         document = parse(text, file)
@@ -49,11 +49,11 @@ def format_text(text: str, file: str = "<text>", schema: str | None = None) -> s
 
 
 def format_file(path: Path) -> Formatted:
-    """Format a document without writing it. Raises :class:`SpecError` if it cannot be read.
+    """Format a document without writing it. Raises :class:`SpecError` if the document could not be read.
 
-    If ``schemas/`` or ``.simfoundry/schemas/`` in a parent folder within the project contains the schema of the
-    document's kind, the first line names that schema for editors. A line that names another schema is kept if that
-    schema exists or is a URL.
+    If a parent folder within the project contains the schema for the document's kind in ``schemas/`` or
+    ``.simfoundry/schemas/``, the first line refers editors to that schema. An existing reference to a different schema
+    is kept if that schema exists or is a URL.
     """
     try:
         document = read(path)
@@ -64,7 +64,7 @@ def format_file(path: Path) -> Formatted:
 
 
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
-    """Return the path of the schema that the first line should name; None if the line can stay as it is.
+    """Return the schema path to write in the first line, or None if the line does not need to change.
 
     The search goes up to ``root``, by default the root of the document's project.
     """
@@ -108,21 +108,21 @@ def _formatted(document: Document, model: type[Model], schema: str | None) -> st
 
 @dataclass(frozen=True)
 class Migration:
-    """Step that converts a document from one version of its kind to the version ``to``."""
+    """A step that converts a document from one version of its kind to version ``to``."""
 
     to: str
     change: Callable[[YamlTree], YamlTree]
 
 
 STEPS: Mapping[str, Migration] = {}
-"""Migration from each older kind and version, such as ``scene/1``.
+"""Migration for each older kind and version, such as ``scene/1``.
 
-Version 1 is the first version of every kind, so there are none yet. A change that alters the meaning of older files
-adds a migration here. A renamed key needs no migration; its field lists the former name (``FormerKey``).
+All kinds are still at version 1, so no migrations exist yet. Add a migration for each change that alters the meaning of
+older files. A renamed key does not need a migration, because its field records the former key (``FormerKey``).
 """
 
 _LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-"""Line breaks as the parser recognizes them."""
+"""Characters that the parser treats as line breaks."""
 
 
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
@@ -155,7 +155,7 @@ def _parsed(text: str, file: str) -> Document:
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """Return the kind that the document names; raises :class:`SpecError` if no such kind ever existed."""
+    """Return the kind of a document; raises :class:`SpecError` if the kind is not and never was valid."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
@@ -167,7 +167,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
 
 
 def _with_present_keys(document: Document, kind: str) -> str:
-    """Rename former keys in the text, and change nothing else."""
+    """Rename former keys in the text without making any other changes."""
     text = document.text
     starts = [0, *(found.end() for found in _LINE_BREAK.finditer(text))]
     edits: dict[int, tuple[str, str]] = {}

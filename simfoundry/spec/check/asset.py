@@ -1,4 +1,4 @@
-"""Check assets: materials, masses, meshes, joints and their positions, and the tree of links."""
+"""Check assets: materials, masses, meshes, joints and joint positions, and the link tree."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
 
 
 MAX_CHAIN = 200
-"""Largest depth of the link tree: XML readers and simulators traverse a chain recursively."""
+"""Maximum depth of the link tree, because XML readers and simulators traverse chains recursively."""
 
 
 def _tree(c: Checker, spec: AssetSpec) -> None:
@@ -111,7 +111,7 @@ def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
 
 
 def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
-    """Check the positions ``given`` below ``path``; with ``resting``, missing positions count as 0."""
+    """Check the joint positions ``given`` at ``path``; if ``resting`` is set, missing positions are checked as 0."""
     for name in given:
         c.name(name, asset.joints, (*path, name), "joint")
     for name, joint in asset.joints.items():
@@ -124,12 +124,12 @@ def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], pat
 
 
 def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: Path_) -> None:
-    """Check that the target of a drive [m or rad] lies within the limits of its joint."""
+    """Check that the target of a drive [m or rad] is within the limits of its joint."""
     _within(c, f"the target of `{name}`", joint, target, path, "", quoted=False)
 
 
 def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
-    """Check that pair ``k`` of `no_contact` names two different objects and is unique; add it to ``seen``."""
+    """Check that pair ``k`` of `no_contact` contains two different objects and is unique, and add it to ``seen``."""
     if pair[0] == pair[1]:
         c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
     elif frozenset(pair) in seen:
@@ -161,7 +161,7 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
 def _within(
     c: Checker, name: str, joint: JointSpec, value: float, place: Path_, hint: str, quoted: bool = True
 ) -> None:
-    """Check that a position [m or rad] lies within the limits of a joint."""
+    """Check that a position [m or rad] is within the limits of a joint."""
     limits, unit = joint.limits, "m"
     if joint.limits_deg is not None:
         limits, unit, value = joint.limits_deg, "deg", math.degrees(value)

@@ -1,4 +1,4 @@
-"""Checks shared by all kinds of documents, including plausible densities."""
+"""Checks shared by all document kinds, including a check for plausible densities."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from simfoundry.spec.yaml.text import Document
 
 Path_ = tuple[str | int, ...]
 Use = Callable[[Path, tuple[str, ...]], Loaded | None]
-"""Function that reads and checks a document of one of the given kinds; None for a document of another kind."""
+"""Function that reads and checks a document of one of the given kinds; it returns None for other kinds."""
 
 
 class Checker:
-    """Collects the findings of one document beyond type errors.
+    """Collects the findings of one document, except for type errors.
 
-    If the document is not ``whole``, its spec lacks the faulty members; their names still count as defined.
+    If ``whole`` is False, the spec contains only the valid members; the names of invalid members still count as
+    defined.
     """
 
     def __init__(self, loaded: Loaded, whole: bool, use: Use) -> None:
@@ -55,7 +56,7 @@ class Checker:
             self.findings.append(self.document.finding(code, path, message, hint, severity))
 
     def names(self, section: str) -> dict[str, Any]:
-        """Return the names that a section of the text defines, including faulty members."""
+        """Return the names defined in a section of the text, including the names of invalid members."""
         members = self.document.data.get(section) if isinstance(self.document.data, dict) else None
         return members if isinstance(members, dict) else {}
 
@@ -71,7 +72,7 @@ class Checker:
         return False
 
     def reserved(self, path: Path_, what: str) -> None:
-        """Report the name that output formats reserve for the static world."""
+        """Report the use of the name that output formats reserve for the static world."""
         message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF use this name for the static world"
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
 
@@ -85,7 +86,7 @@ class Checker:
         return True
 
     def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
-        """Return the document at ``reference``; report a finding and return None if it is not of one of the kinds."""
+        """Return the document at ``reference``; if its kind is not in ``kinds``, report a finding and return None."""
         if not self.file(reference, path, suffixes):
             return None
         target = str(self.loaded.file(reference))
@@ -143,14 +144,14 @@ LIGHTEST, HEAVIEST = 5.0, 23_000.0
 
 
 def implausible(density: float) -> str:
-    """Return a hint for an implausible density [kg/m^3]; empty for a plausible one."""
+    """Return a hint if a density [kg/m^3] is implausible, or an empty string if it is plausible."""
     if LIGHTEST <= density <= HEAVIEST:
         return ""
     return f"densities range from {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
 
 
 def volume(shape: Shape) -> float:
-    """Return the volume of a primitive [m^3]; infinite if it overflows."""
+    """Return the volume of a primitive [m^3], or infinity if the computation overflows."""
     try:
         value = _volume(shape)
     except OverflowError:

@@ -1,4 +1,4 @@
-"""Run the checks beyond types for each kind of document, and apply ``allow``."""
+"""Run the checks for each document kind that go beyond types, and apply ``allow``."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 
 _MODULES = {**{kind: kind for kind in ("scene", "asset", "task")}, "cousins": "task"}
 _MODULES |= dict.fromkeys(("capture", "policy"), "documents")
-"""Module with the check of each kind; it is imported on first use, so that checking a scene loads no other models."""
+"""Module that checks each document kind; imported on first use, so that checking a scene loads only scene models."""
 
 
 def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> list[Diagnostic]:
-    """Check a document beyond types; ``sound`` is its typed spec, or only the valid part of it unless ``whole``.
+    """Run the checks that go beyond types.
 
-    Documents that it uses are read with ``use`` and added to ``loaded.uses``.
+    ``sound`` is the typed spec of the document or, if ``whole`` is False, only its valid part. Documents that it uses
+    are read with ``use`` and added to ``loaded.uses``.
     """
     if sound is None:
         return []

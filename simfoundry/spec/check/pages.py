@@ -1,4 +1,4 @@
-"""Markdown pages of the diagnostic codes: meaning, fix, and examples of wrong and right documents."""
+"""Markdown pages for diagnostic codes, with an explanation, a fix, and examples of wrong and right documents."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """File that a page shows under one of its headings (`Wrong`, `Right`, `Beside it`)."""
+    """File that a page shows under one of its headings (`Wrong`, `Right`, `Supporting files`)."""
 
     lead: str
     name: str
@@ -58,7 +58,7 @@ class Page:
 
 
 def page(code: str) -> Page:
-    """Return the page of a code; raises ``FileNotFoundError`` for an unknown one."""
+    """Return the page for a code; raises ``FileNotFoundError`` if the code is unknown."""
     title, _, body = (FOLDER / f"{code}.md").read_text(encoding="utf-8").partition("\n\n")
     return Page(code, title.removeprefix(f"# {code} "), body)
 
@@ -75,14 +75,14 @@ def titles() -> dict[str, str]:
 
 
 def code_of(text: str) -> str | None:
-    """Parse a code from ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None for an unknown code."""
+    """Parse a code from ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; return None if the code is unknown."""
     match = _CODE.fullmatch(text.strip())
     code = f"SF{int(match[1]):03}" if match else ""
     return code if code in titles() else None
 
 
 def grouped() -> dict[str, dict[str, str]]:
-    """Return the title of each group of codes, with the titles of its codes."""
+    """Return the codes and their titles by group title."""
     return {title: {c: t for c, t in titles().items() if c.startswith(start)} for start, title in GROUPS.items()}
 
 

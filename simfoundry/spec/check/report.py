@@ -1,4 +1,4 @@
-"""Report of a check and its output formats: text, JSON, SARIF, and GitHub annotations."""
+"""Check reports and their output formats: text, JSON, SARIF, and GitHub annotations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Requested documents, the number of documents read, and every finding once, in order."""
+    """A report with the requested documents, the number of documents read, and all findings, sorted and unique."""
 
     files: tuple[str, ...]
     documents: int
@@ -67,7 +67,7 @@ def absolute(file: str) -> Path:
 
 
 def checkout() -> Path:
-    """Return the folder that paths are relative to for other programs: that of the CI job, else the current folder."""
+    """Return the root for paths in machine-readable output: the CI job's checkout, or otherwise the current folder."""
     return absolute(os.environ.get("GITHUB_WORKSPACE") or ".")
 
 
@@ -77,12 +77,12 @@ def renderer(form: str) -> Callable[[CheckReport], str]:
 
 
 def findings_text(found: Iterable[Diagnostic], color: bool = False) -> str:
-    """Return every finding with its source line; file names are relative to the current folder."""
+    """Format all findings with their source lines; file names are relative to the current folder."""
     return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), color)
 
 
 def summary(report: CheckReport) -> str:
-    """Summarize the report: ``3 errors and 1 warning in 2 of 14 documents``."""
+    """Return a summary of the report, such as ``3 errors and 1 warning in 2 of 14 documents``."""
     if not report.findings:
         return f"no findings in {_count(report.documents, 'document')}"
     counts = [_count(n, what) for n, what in ((report.errors, "error"), (report.warnings, "warning")) if n]
@@ -156,7 +156,7 @@ _ROOT = "%SRCROOT%"
 
 
 def render_sarif(report: CheckReport) -> str:
-    """Return one run with one result per finding; files are relative to the checkout, columns in characters."""
+    """Return a SARIF run with one result per finding; files are relative to the checkout, columns count characters."""
     from simfoundry.spec.check.pages import pages
 
     folder = checkout()
@@ -212,5 +212,5 @@ def _artifact(file: str, folder: Path) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """Escape a text so that it contains no links, which plain SARIF messages write as ``[text](target)``."""
+    """Escape a text so that it does not contain links, which SARIF messages write as ``[text](target)``."""
     return text.replace("](", "] (")

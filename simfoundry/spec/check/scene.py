@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
 
 OF_LINKS = ("scale", "visual", *BodySpec.model_fields)
-"""Fields of an object that have no effect if its asset document defines them for its links."""
+"""Fields that have no effect on an object whose asset is a document, because the document defines them per link."""
 
 ROBOT_SUFFIXES = {
     "file": (".yaml", ".yml"),
@@ -182,7 +182,7 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
 
 
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
-    """Check the relations in the text, including faulty ones."""
+    """Check the relations as written, including invalid ones."""
     written = c.document.data.get("relations") if spec.relations else ()
     for k, text in enumerate(written if isinstance(written, tuple) else ()):
         if isinstance(text, str):
@@ -193,7 +193,7 @@ EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
 class SceneNames:
-    """Names in a scene: ``objects`` and ``robots`` of its text, including faulty ones, and their parts."""
+    """Names in a scene: all ``objects`` and ``robots`` in its text, including invalid ones, and their parts."""
 
     def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
         self.scene, self.spec = scene, spec
@@ -201,7 +201,7 @@ class SceneNames:
         self.objects, self.robots = (_mapping(data, section) for section in ("objects", "robots"))
 
     def asset(self, name: str) -> AssetSpec | None:
-        """Return the asset document of the object ``name``; None if it has none or the document is invalid."""
+        """Return the asset document of the object ``name``, or None if it does not exist or is invalid."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
         if used is None:
@@ -251,7 +251,7 @@ class SceneNames:
                     self.check_part(c, argument, path)
 
     def _overlap(self, a: str, b: str) -> bool:
-        """Return True if two arguments share a link: one contains the other, or one is a joint that moves the other."""
+        """Return True if two arguments share a link, because one contains the other or is a joint that moves it."""
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
@@ -264,7 +264,7 @@ class SceneNames:
             self.check_call(c, text, (*path, *below))
 
     def check_part(self, c: Checker, argument: str, path: Path_) -> None:
-        """Check the name of an object, of one of its links, or of one of its joints (the link that it moves)."""
+        """Check the name of an object, a link, or a joint, which stands for the link that it moves."""
         name, _, part = argument.partition(".")
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)
@@ -319,7 +319,7 @@ def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def _cycle(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
-    """Return the path from ``name`` back to itself; empty if there is none."""
+    """Return the path from ``name`` back to itself, or an empty path if it is not part of a cycle."""
     todo: list[tuple[str, ...]] = [(name,)]
     seen: set[str] = set()
     while todo:

@@ -1,4 +1,4 @@
-"""Check tasks and recipes: the names in goals, starts, resets, and axes."""
+"""Check tasks and recipes: the names in goals, initial states, resets, and axes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
 
 
 def scene_names(scene: Loaded | None) -> SceneNames | None:
-    """Return the names in a scene; None if the scene cannot be read."""
+    """Return the names in a scene, or None if the scene could not be read."""
     if scene is None or scene.document is None or not isinstance(scene.document.data, dict):
         return None
     return SceneNames(scene, scene.spec if isinstance(scene.spec, SceneSpec) else None)
@@ -54,7 +54,7 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
 
 
 def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
-    """Return every group of a condition with the path of its list."""
+    """Return all groups (`all`, `any` and `not`) in a condition, each with the path of its list."""
     tag, below = parts(condition)
     if tag == "text":
         return []
@@ -88,7 +88,7 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
 
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
-    """Check that no object fixed to the world has a different start."""
+    """Check that an object with a different initial pose is not fixed to the world."""
     if names.is_fixed(name):
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
         c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")

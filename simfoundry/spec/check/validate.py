@@ -17,7 +17,7 @@ from simfoundry.spec.yaml.text import Document, Path_
 M = TypeVar("M", bound=Model)
 
 MAX_FINDINGS = 200
-"""Largest number of findings per kind of check and document, which bounds the output for malicious input."""
+"""Maximum number of findings per kind of check and document, which limits the output for malicious input."""
 
 _CODES = {
     "missing": "SF102",
@@ -36,7 +36,7 @@ _EXPECTED = {
     "int": "a whole number",
     "float": "a number",
 }
-"""Prefixes of pydantic's error types, and the corresponding terms for documents."""
+"""Prefixes of pydantic error types and the corresponding terms for document values."""
 
 
 _JOINED = {"all", "any", "not"}
@@ -55,7 +55,7 @@ _UNITS = {
     "deg": ("angles are in degrees", 1.0),
     "°": ("angles are in degrees", 1.0),
 }
-"""Hint for each unit, and the factor that converts it to the unit of the documents."""
+"""Hint for each unit and the factor that converts it to the unit used in documents."""
 
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
@@ -78,7 +78,7 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
 def _new_members_first(findings: list[Diagnostic], document: Document) -> list[Diagnostic]:
     """Reword findings about members that a document adds to its base.
 
-    Usually the name of an existing member was misspelled; a single finding reports that.
+    Usually, the name of an existing member was misspelled, which is reported as a single finding.
     """
     out, named = list[Diagnostic](), set[Path_]()
     for d in findings:
@@ -96,7 +96,7 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
-    """Return a finding for each key or item without a value; null is only allowed for removing a value of the base."""
+    """Return a finding for each key or item without a value; null is allowed only to remove a value from the base."""
     found: list[tuple[str | int, ...]] = []
     todo: list[tuple[tuple[str | int, ...], Any]] = [((), document.data)] if isinstance(document.data, dict) else []
     while todo:
@@ -117,8 +117,8 @@ def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
 def sound_part(model: type[M], document: Document) -> M | None:
     """Return the valid part of a document with errors, so that the remaining checks can run on it.
 
-    A faulty member of a section (one object, one relation) is omitted as a whole, and other faulty values with their
-    key. None if nothing valid remains.
+    Invalid members of a section, such as an object or a relation, are omitted entirely, and other invalid values are
+    omitted together with their key. Returns None if the rest is not valid either.
     """
     data = document.data
     if not isinstance(data, dict):
@@ -245,12 +245,15 @@ def _as_name(text: str) -> str:
 
 
 def _is_guess(error: Any) -> bool:
-    """Return True for a missing key that is one of several alternatives; with an unknown key it is the same mistake."""
+    """Return True for a missing key that is one of several alternatives.
+
+    If the mapping also contains an unknown key, both errors have the same cause.
+    """
     return error["type"] == "missing" and (error["loc"][-1] in SHAPE_KEYS or error["loc"][-1] in _JOINED)
 
 
 def _only_key(model: type[Model], loc: tuple[Any, ...]) -> str:
-    """Return the single required key of a mapping; empty if there are several or alternatives."""
+    """Return the only required key of a mapping, or an empty string if it has several or alternative keys."""
     found = models_at(model, loc)
     needed = [n for m in found for n, info in m.model_fields.items() if info.is_required()]
     return needed[0] if len(found) == len(needed) == 1 and needed[0] not in (*SHAPE_KEYS, *_JOINED) else ""

@@ -1,4 +1,4 @@
-"""Create new files from templates: a valid document of each kind that introduces its keys."""
+"""Create new files from templates, which contain a valid document of each kind that introduces its keys."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 """Names of the kinds on the command line, such as ``scene``."""
 
 REGION = 0.05
-"""Half the width [m] of the region in which an object starts, centered at its position in the scene."""
+"""Half the width [m] of the initial region of an object, which is centered at its position in the scene."""
 
 
 class NewError(Exception):
-    """Error with the reason why a file cannot be created, in one sentence."""
+    """Raised if a file cannot be created; the message is one sentence with the reason."""
 
 
 @dataclass(frozen=True)
 class New:
-    """File to write, together with the schemas and the marker that its project lacks."""
+    """A file to write, together with the schemas and the marker file that are missing from its project."""
 
     path: Path
     text: str
@@ -44,7 +44,7 @@ class New:
 
 
 def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
-    """Interpret the arguments: ``desk.scene.yaml``, or ``scene desk``, where the kind completes the path."""
+    """Interpret the arguments, either ``desk.scene.yaml`` or ``scene desk``, in which case the suffix is added."""
     *before, last = words
     path = Path(last)
     by_name = next((kind for kind in WORDS if path.name.endswith(f".{kind}.yaml")), None)
@@ -69,7 +69,7 @@ def _file(kind: str) -> str:
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
-    """Return a new file; raises :class:`NewError` if that is impossible, :class:`SpecError` for a faulty source."""
+    """Return a new file; raises :class:`NewError`, or :class:`SpecError` if the source document is invalid."""
     try:
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
@@ -98,7 +98,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
 
 
 def _name(path: Path, name: str | None) -> str:
-    """Return the name of a document: the given one, or one derived from its file (for a capture, from its folder)."""
+    """Return the given document name, or a name derived from the file (for a capture, from the folder)."""
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
             message = "a name is lower-case letters, digits and `_`, and starts with a letter"
@@ -127,7 +127,7 @@ def _comment(text: str) -> str:
 
 
 def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
-    """Return the source document: the given one, or the only one in the folder of the new file."""
+    """Return the given source document, or the only candidate in the folder of the new file."""
     if source is None:
         folder = path.parent
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
@@ -162,7 +162,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a task: put the first free object that does not roll onto another one, or lift it if there is none."""
+    """Fill in a task: put the first free object that does not roll onto another object, or otherwise lift it."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
@@ -207,7 +207,7 @@ def _region(x: float, y: float) -> str:
 
 
 def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Fill in a recipe: place the first free object around another one."""
+    """Fill in a recipe that places the first free object around another object."""
     loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]

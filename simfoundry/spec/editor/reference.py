@@ -1,4 +1,4 @@
-"""Generate ``docs/reference.md`` from the models: every key of every document, with an example of each kind."""
+"""Generate ``docs/reference.md`` from the models: all keys and an example for each document kind."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def example(kind: str) -> str:
 
 
 def reference() -> str:
-    """Return the text of the page."""
+    """Return the text of the reference page."""
     schemas = {kind: model_of(kind).model_json_schema() for kind in KINDS}
     uses = [set(schema["$defs"]) for schema in schemas.values()]
     shared = {name for name in set().union(*uses) if sum(name in names for names in uses) > 1}
@@ -48,7 +48,7 @@ def reference() -> str:
 
 
 def _sections(parts: dict[str, Schema]) -> Iterator[str]:
-    """Yield a heading and a table for each part, sorted by title; shapes, which have one key each, share a table."""
+    """Yield a heading and a table for each part, sorted by title; shapes share a table, because each has one key."""
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)
@@ -123,7 +123,7 @@ def _length(field: Schema) -> str:
 
 
 def _range(field: Schema) -> str:
-    """Describe the bounds of a number: `` > 0``, `` 0 to 1``, or nothing."""
+    """Describe the bounds of a number as `` > 0`` or `` 0 to 1``; the result is empty if it is unbounded."""
     match field:
         case {"minimum": low, "maximum": high}:
             return f" {low} to {high}"

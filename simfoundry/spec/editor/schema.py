@@ -1,9 +1,9 @@
-"""JSON Schemas of the documents for editors: completion, hover texts, and error messages.
+"""Generate JSON Schemas for documents, which editors use for completion, hover texts, and error messages.
 
-They are generated from the schemas of the models and rewritten for display in editors. Alternatives of different types
-(such as a number or a mapping with a range) are joined into one schema, so that an error is reported at its location
-and not as "no match". Each key has a description with its unit, and an initial value to fill in. ``null`` is allowed
-only in overlays, where it removes a value.
+The schemas are generated from the models and rewritten for display in editors. Alternatives of different types (such as
+a number or a mapping with a range) are combined into one schema, so that editors report an error at its location and
+not as "no match". Each key has a description with its unit, and an initial value to fill in. ``null`` is allowed only
+in overlays, where it removes a value.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ UNIONS = {
     "JointPosition": {"Degrees"},
     "RobotModel": {"RobotFiles"},
 }
-"""Names of parts that join alternatives, by the models among the alternatives."""
+"""Names of the schema parts that combine alternatives, by the models among the alternatives."""
 
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
-"""Pattern of a key that is the rest of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma."""
+"""Pattern for a key that is the end of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma."""
 
 
 def _predicate_pattern() -> str:
-    """Return the pattern of a predicate, or of its start or end if YAML splits it at a comma in brackets."""
+    """Return a pattern for a predicate, or for its start or end if YAML splits the predicate at a comma in brackets."""
     aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
 
 LISTED = "Listed"
-"""Part for conditions in a list, where YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number."""
+"""Schema part for conditions in a list, in which YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number."""
 
 
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
@@ -132,7 +132,7 @@ class _Parts:
         return whole | _fragments(properties)
 
     def key(self, owner: str, key: str, body: Schema) -> Schema:
-        """Return the schema of a key, with its texts and an initial value."""
+        """Return the schema of a key, including its descriptions and an initial value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
         if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
@@ -146,12 +146,12 @@ class _Parts:
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
-        """Return the description of a key or, if it has none, that of its value."""
+        """Return the description of a key, or the description of its value if the key has none."""
         said = body.get("description") or snippets.description(owner, key)
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
-        """Return the schema of a value without texts."""
+        """Return the schema of a value without descriptions."""
         options = _options(body)
         if len(options) > 1:
             named = {option["$ref"].rpartition("/")[2] for option in options if "$ref" in option}
@@ -215,7 +215,7 @@ class _Parts:
         return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
-        """Join alternatives into one schema; each keyword applies to only one type of value."""
+        """Combine alternatives into one schema, in which each keyword applies to only one type of value."""
         out: Schema = {}
         types: list[str] = []
         models = [o["$ref"].rpartition("/")[2] for o in options if "$ref" in o]
@@ -232,7 +232,7 @@ class _Parts:
         return {"type": types if len(types) > 1 else types[0], **out}
 
     def join_models(self, names: list[str]) -> Schema:
-        """Join alternative models into a mapping with the keys of all of them."""
+        """Combine alternative models into a mapping that accepts the keys of all models."""
         bodies = [self.raw["$defs"][name] for name in names]
         if len(names) == 1:
             whole = self.model(names[0], bodies[0])
@@ -270,7 +270,7 @@ def _pattern(pattern: str) -> Schema:
 
 
 def _fragments(properties: Schema) -> Schema:
-    """Allow the rest of a text that YAML splits at commas, in places with free-form text."""
+    """Allow the remaining pieces of free-form text that YAML splits at commas."""
     cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
     free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
     conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
@@ -278,7 +278,7 @@ def _fragments(properties: Schema) -> Schema:
 
 
 def _words(title: str, text: str) -> Schema:
-    """Return title and description; also as Markdown if editors would otherwise show Markdown syntax literally."""
+    """Return the title and description, with a Markdown version if editors would otherwise show the Markdown syntax."""
     markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
     return {"title": title, "description": text, **markdown}
 
@@ -349,7 +349,7 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """Allow null for a value; texts for editors stay on the outer schema."""
+    """Allow null for a value; descriptions for editors stay on the outer schema."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
     words = {key: item[key] for key in kept if key in item}
     core = {key: value for key, value in item.items() if key not in kept}

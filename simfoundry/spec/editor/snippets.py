@@ -1,4 +1,4 @@
-"""Texts for editors beyond those of the models: initial values of keys, and the meanings of choices."""
+"""Additional editor content that the models do not define: initial values of keys and descriptions of choices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.spec.yaml.text import parse
 
 Body = str | tuple[Any, ...] | dict[str, Any]
-"""Snippet with placeholders such as ``${1:0.5}``: inline text, or data that is written on several lines."""
+"""A snippet with placeholders such as ``${1:0.5}``, either as inline text or as data for multiple lines."""
 
 
 @cache
@@ -33,7 +33,7 @@ def first_member(model: str) -> Body | None:
 
 
 def description(model: str, key: str) -> str | None:
-    """Return the description of a key whose model has none."""
+    """Return the description of a key whose model does not define a description."""
     found: dict[str, str] = _texts()["descriptions"]
     return found.get(f"{model}.{key}")
 
@@ -46,7 +46,7 @@ def meanings(words: list[str]) -> list[str]:
 
 
 def sentence(words: str) -> str:
-    """Return text as a sentence."""
+    """Format text as a sentence."""
     return f"{words[0].upper()}{words[1:]}."
 
 

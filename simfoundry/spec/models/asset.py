@@ -1,4 +1,4 @@
-"""``asset/1``: an object with links, parts, and joints, for use in scenes."""
+"""The ``asset/1`` document: an object with links, parts, and joints, for use in scenes."""
 
 import math
 from typing import Literal, Self
@@ -27,18 +27,18 @@ from simfoundry.spec.models.base import (
 
 
 class PartSpec(Model):
-    """One piece of a link: a shape or a mesh, posed in the link."""
+    """A part of a link: a shape or a mesh with a pose in the link's frame."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
+    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the link's frame.")
-    material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
+    material: Name | None = Field(None, description="A name from `materials`; default: the link's material.")
     color: Color | None = Field(None, description="sRGB color, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
         "both",
-        description="`visual` is only rendered: it neither collides nor has mass; `collision` collides and has mass, "
-        "but is not rendered.",
+        description="A `visual` part is rendered but neither collides nor has mass; a `collision` part collides and "
+        "has mass but is not rendered.",
     )
 
     @model_validator(mode="after")
@@ -50,13 +50,13 @@ class PartSpec(Model):
 
 
 class Inertial(Model):
-    """A measured inertia, which replaces the one computed from the parts."""
+    """A measured inertia, which replaces the inertia computed from the parts."""
 
     com: Point3 = Field((0.0, 0.0, 0.0), description="Center of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
-        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: that of "
-        "the parts about their own center of mass.",
+        description="ixx, iyy, izz, ixy, ixz, iyz about the center of mass, in link axes [kg m^2]; default: the "
+        "inertia of the parts about their own center of mass.",
     )
 
     @model_validator(mode="after")
@@ -64,7 +64,7 @@ class Inertial(Model):
         if self.inertia is not None and not _is_of_a_body(self.inertia):
             raise fault(
                 "sf104",
-                "no body has this inertia: its principal moments must be positive, "
+                "no rigid body has this inertia: the principal moments must be positive, "
                 "and none may exceed the sum of the other two",
                 "inertia",
             )
@@ -72,7 +72,7 @@ class Inertial(Model):
 
 
 ROUNDING = 1e-6
-"""Relative tolerance of the triangle inequality of principal moments, because files contain six digits."""
+"""Relative tolerance of the triangle inequality for principal moments; needed because files contain six digits."""
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
@@ -87,16 +87,16 @@ def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> b
 
 
 def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
-    """Return True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
+    """Return True if a symmetric tensor is positive definite, i.e. all leading minors are positive (Sylvester)."""
     minor = xx * yy - xy * xy
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
 
 class LinkSpec(BodySpec):
-    """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
+    """A rigid body of the asset, made of parts; a link without parts needs an `inertial`."""
 
-    parts: dict[Name, PartSpec] = Field({}, description="Its parts, by name.")
-    inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; needs `mass`.")
+    parts: dict[Name, PartSpec] = Field({}, description="Parts of the link by name.")
+    inertial: Inertial | None = Field(None, description="Measured center of mass and inertia; requires `mass`.")
 
     @model_validator(mode="after")
     def _mass(self) -> Self:
@@ -104,12 +104,12 @@ class LinkSpec(BodySpec):
         if self.inertial is not None and self.mass is None:
             raise fault("sf107", "`inertial` requires `mass`", "inertial")
         if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
-            raise fault("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`")
+            raise fault("sf107", "a link without collision parts needs `mass` and `inertial.inertia`")
         return self
 
     @property
     def weighed(self) -> bool:
-        """Return True if mass, center of mass and inertia are given, so that the parts need no mass."""
+        """Return True if the mass, center of mass and inertia are specified, so the parts do not need a mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -117,21 +117,21 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """A joint that follows another: its position is ``multiplier`` times that joint's position, plus ``offset``."""
+    """Coupling of a joint to a leader joint: its position is ``multiplier`` times the leader's, plus ``offset``."""
 
-    joint: Name = Field(description="The joint that it follows.")
-    multiplier: Number = Field(1.0, description="Ratio of this joint's motion to that of the leader.")
-    offset: Number = Field(0.0, description="Position if the leader is at zero [m, or rad].")
+    joint: Name = Field(description="The leader joint.")
+    multiplier: Number = Field(1.0, description="Ratio of this joint's motion to the leader's motion.")
+    offset: Number = Field(0.0, description="Position of this joint when the leader is at zero [m, or rad].")
 
 
 class DriveSpec(Model):
-    """A motor that holds a position like a spring, or damps motion, up to a maximum force.
+    """A motor that holds a position like a spring or damps motion, up to a maximum force.
 
-    Its force is `stiffness` times the distance to the target, minus `damping` times the velocity.
+    The force is `stiffness` times the deviation from the target, minus `damping` times the velocity.
     """
 
-    stiffness: NonNegative = Field(0.0, description="Force per unit of deviation [N/m, or N m/rad].")
-    damping: NonNegative = Field(0.0, description="Force per unit of velocity, against it [N s/m, or N m s/rad].")
+    stiffness: NonNegative = Field(0.0, description="Force per unit of deviation from the target [N/m, or N m/rad].")
+    damping: NonNegative = Field(0.0, description="Opposing force per unit of velocity [N s/m, or N m s/rad].")
     target: Number | None = Field(
         None, description="Target position [m, or rad]; default: the initial position of the joint."
     )
@@ -145,13 +145,14 @@ class DriveSpec(Model):
 
 
 class JointSpec(Model):
-    """A joint between two links; it acts at the origin of the child's frame."""
+    """A joint between two links, located at the origin of the child's frame."""
 
-    type: JointKind = Field(description="Type of motion of the child in the parent.")
+    type: JointKind = Field(description="Type of motion between the parent and the child.")
     parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
     pose: PoseSpec = Field(
-        PoseSpec.model_construct(), description="Pose of the child's frame in the parent's at position zero."
+        PoseSpec.model_construct(),
+        description="Pose of the child's frame in the parent's frame at joint position zero.",
     )
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: tuple[Number, Number] | None = Field(
@@ -162,15 +163,15 @@ class JointSpec(Model):
     )
     closed: Literal["lower", "upper"] | None = Field(
         None,
-        description="The limit at which `Open` and `Closed` regard it as closed; default: zero, or the limit nearest "
-        "to zero.",
+        description="The limit at which `Open` and `Closed` treat the joint as closed; default: zero, or the limit "
+        "closest to zero.",
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
     armature: NonNegative = Field(
-        0.0, description="Inertia added to the joint, such as that of a rotor [kg, or kg m^2]."
+        0.0, description="Inertia added to the joint, such as the rotor inertia of a motor [kg, or kg m^2]."
     )
-    mimic: MimicSpec | None = Field(None, description="Another joint that it follows.")
+    mimic: MimicSpec | None = Field(None, description="Coupling to another joint that this joint follows.")
     drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
     @model_validator(mode="after")
@@ -181,33 +182,37 @@ class JointSpec(Model):
             raise fault("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
         for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):
             if given is not None and self.type != kind:
-                raise fault("sf107", f"`{name}` belong to {kind} joints, and this one is {self.type}", name)
+                raise fault("sf107", f"`{name}` applies only to {kind} joints, but this joint is {self.type}", name)
             if given is not None and given[0] >= given[1]:
                 raise fault("sf104", "the lower limit must be less than the upper limit", name)
         if sum(v * v for v in self.axis) < 1e-12:
             raise fault("sf104", "`axis` must not be zero", "axis")
         for name in ("damping", "friction", "armature") if self.type == "free" else ():
             if getattr(self, name):
-                raise fault("sf107", f"`{name}` has no effect: a free joint holds nothing", name)
+                raise fault("sf107", f"`{name}` has no effect on a free joint", name)
         if self.closed is not None and self.type not in ("revolute", "prismatic"):
-            raise fault("sf107", f"`closed` names a limit, and a {self.type} joint has none", "closed")
+            raise fault("sf107", f"`closed` refers to a limit, but a {self.type} joint has no limits", "closed")
         for name in ("mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
-                raise fault("sf107", f"`{name}` belongs to joints with one axis, and this one is {self.type}", name)
+                raise fault(
+                    "sf107", f"`{name}` applies only to joints with one axis, but this joint is {self.type}", name
+                )
         return self
 
 
 class AssetSpec(DocumentSpec):
-    """A reusable object of one or more links."""
+    """A reusable object with one or more links."""
 
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
     category: Name | None = Field(None, description="Category, such as `drawer_cabinet`.")
-    materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
-    links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
-    joints: dict[Name, JointSpec] = Field({}, description="Joints between its links, by name.")
+    materials: dict[Name, Material] = Field({}, description="Materials for the asset's links, by name.")
+    links: dict[Name, LinkSpec] = Field(
+        min_length=1, description="Rigid bodies of the asset by name; the first one is the root."
+    )
+    joints: dict[Name, JointSpec] = Field({}, description="Joints between the links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
         (),
         max_length=1000,
-        description="Pairs of links that do not collide, in addition to those that a joint connects.",
+        description="Pairs of links that do not collide, in addition to links connected by a joint.",
     )
     origin: Origin | None = Field(None, description="Origin of the asset.")

@@ -27,9 +27,9 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """Texts that describe a string pattern in editors, messages, and the reference.
+    """Texts that describe a string pattern to users.
 
-    They are its placeholder in editors, its name in the reference, and the rule that a string must follow.
+    ``placeholder`` is shown in editors, ``title`` in the reference, and ``rule`` in error messages.
     """
 
     placeholder: str
@@ -39,20 +39,20 @@ class PatternText(NamedTuple):
 
 PATTERNS = {
     NAME: PatternText(
-        "name", "name", "a name starts with a lower-case letter, then lower-case letters, digits and `_`"
+        "name", "name", "a name starts with a lower-case letter, followed by lower-case letters, digits and `_`"
     ),
     PART_NAME: PatternText("name", "name or name.part", "a name as `cabinet`, or one of its links as `cabinet.drawer`"),
     CODE: PatternText("SF402", "code", "the code of a warning, as `SF402`"),
     JOINT_NAME: PatternText("joint", "joint", "the name of a joint, as the robot's own model has it"),
     WIRE_KEY: PatternText("key", "key", "a key of the policy's own, as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
-        "VARIABLE", "environment variable", "the name of an environment variable in capitals, never a key itself"
+        "VARIABLE", "environment variable", "the name of an environment variable in capitals, not the key itself"
     ),
 }
 
 Name = Annotated[str, StringConstraints(pattern=NAME, max_length=64)]
 PartName = Annotated[str, StringConstraints(pattern=PART_NAME, max_length=129)]
-"""``cabinet``, or ``cabinet.drawer`` for one link of it."""
+"""Name of an object, such as ``cabinet``, or of one of its links, such as ``cabinet.drawer``."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -60,7 +60,7 @@ Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Code = Annotated[str, StringConstraints(pattern=CODE)]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 FARTHEST = 1e6
-"""Largest position or size [m]; at this distance, the resolution of single precision, which many simulators use, is
+"""Largest allowed position or size [m]. Many simulators use single precision, whose resolution at this distance is
 6 cm."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
@@ -71,7 +71,7 @@ Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
 
 WORLD = "world"
-"""Name that formats reserve for the static world: the first body in MuJoCo, and a link for readers of URDF."""
+"""Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers."""
 Color = Annotated[
     Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
@@ -81,7 +81,7 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a string that is a file path relative to its document, so that an overlay can adjust it."""
+    """Marks a string as a file path relative to its document, so that overlays in other folders can adjust it."""
 
 
 FileName = Annotated[str, Reference()]
@@ -89,22 +89,23 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Marks a field with its former key; `check` suggests the current key, and `migrate` renames it."""
+    """Records the former key of a field; `check` suggests the current key, and `migrate` renames the former one."""
 
     key: str
 
 
 class Model(BaseModel):
-    """A part of a document: immutable, strict, no unknown keys.
+    """Base class for all parts of a document: immutable and strictly typed, with no unknown keys.
 
-    A field whose default is a model writes it as ``model_construct()``: validation would compile its schema at import.
+    If the default of a field is a model, create it with ``model_construct()``, because validating it would compile the
+    model's schema at import time.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def fault(code: LiteralString, message: str, at: str = "") -> PydanticCustomError:
-    """Return a validation error with the ``code`` of its finding, at the key ``at`` of the model."""
+    """Return a validation error that is reported as finding ``code`` at the key ``at`` of the model."""
     return PydanticCustomError(code, "{message}", {"message": message, "at": at} if at else {"message": message})
 
 
@@ -115,11 +116,11 @@ def _ordered(ends: tuple[float, ...]) -> tuple[float, ...]:
 
 
 Ordered = AfterValidator(_ordered)
-"""Validator of a minimum and a maximum."""
+"""Validator for a (minimum, maximum) pair."""
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
-    """Raise an error unless at most one (or, with ``needed``, exactly one) of the fields is given."""
+    """Raise an error if more than one of the fields is set or, with ``needed``, if none of them is set."""
     written = model.model_fields_set
     given = [n for n in names if n in written and getattr(model, n) is not None]
     if len(given) == 1 or not (given or needed):
@@ -131,7 +132,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
 
 
 def _unit(quaternion: tuple[float, ...]) -> tuple[float, ...]:
-    if abs(sum(v * v for v in quaternion) - 1) > 1e-3:  # files write six decimals, people often three
+    if abs(sum(v * v for v in quaternion) - 1) > 1e-3:  # files contain six decimals, but people often write three
         raise fault("sf104", "`quat_wxyz` must have length 1")
     return quaternion
 
@@ -140,7 +141,7 @@ Quaternion = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_un
 
 
 class PoseSpec(Model):
-    """Pose of a frame in its parent; the rotation is given in at most one of three ways."""
+    """Pose of a frame in its parent frame; at most one of the three rotation keys may be set."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
@@ -156,7 +157,7 @@ class PoseSpec(Model):
 
 
 class CameraPose(Model):
-    """Pose of a camera: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
+    """Pose of a camera: a position, and either a point to look at or a rotation (x right, y down, z forward)."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical center in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
@@ -205,20 +206,22 @@ class Round(Model):
     """Radius and height of a cylinder or capsule along z."""
 
     radius: Length = Field(description="Radius [m].")
-    height: Length = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
+    height: Length = Field(
+        description="Height [m]; for a capsule, the height of the cylindrical part without the caps."
+    )
 
 
 class Prism(Model):
-    """An extrusion of an outline along z: table tops, trays, tiles."""
+    """An outline extruded along z, such as a tabletop, tray or tile."""
 
     outline: tuple[Point2, ...] = Field(
-        min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
+        min_length=3, max_length=512, description="Corners in xy [m], in order; the last corner connects to the first."
     )
     height: Length = Field(description="Full height [m].")
 
 
 class Lathe(Model):
-    """A solid of revolution about z: bowls, cups, bottles, plates."""
+    """A solid of revolution about z, such as a bowl, cup, bottle or plate."""
 
     profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
@@ -252,13 +255,13 @@ class CapsuleShape(Model):
 
 
 class PrismShape(Model):
-    """An extrusion along z, centered on its frame in height."""
+    """An extrusion along z whose frame is at half its height."""
 
     prism: Prism
 
 
 class LatheShape(Model):
-    """A solid of revolution about z; its heights are those of the profile."""
+    """A solid of revolution about z; its frame is at height zero of the profile."""
 
     lathe: Lathe
 
@@ -283,25 +286,25 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Origin of a cousin; the same recipe, seed and index produce it again."""
+    """Origin of a cousin; the same recipe, seed and index reproduce it."""
 
     recipe: Name = Field(description="Name of the recipe.")
     seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
-    index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, from 1.")
+    index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, starting at 1.")
     generator: Annotated[str, FormerKey("by")] = Field(
         "simfoundry", max_length=64, description="The program that generated it."
     )
 
 
 class Origin(Model):
-    """Origin of a description, and how well it fits the observations."""
+    """Origin of a description, including how well it fits the observations."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
         None, description="Median distance of the observed points from the fitted surface [m]."
     )
     confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
-    note: str | None = Field(None, max_length=200, description="Assumptions that were made.")
+    note: str | None = Field(None, max_length=200, description="Assumptions made during the estimation.")
     cousin: CousinOf | None = Field(None, description="Recipe, seed and index, if it is a cousin.")
 
 
@@ -309,18 +312,22 @@ class Material(Model):
     """Physical properties and color of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
-    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair uses the geometric mean.")
+    friction: NonNegative = Field(
+        0.5, description="Coulomb friction coefficient; contacts use the geometric mean of the two surfaces."
+    )
     torsional_friction: NonNegative = Field(
         0.0,
-        description="Resistance to spinning at a contact: torque over normal force [m]; a pair uses the "
-        "larger of its two.",
+        description="Resistance to spinning at a contact: torque divided by normal force [m]; contacts use the "
+        "larger value of the two surfaces.",
     )
     rolling_friction: NonNegative = Field(
         0.0,
-        description="Resistance to rolling at a contact: torque over normal force [m]; a pair uses the "
-        "larger of its two.",
+        description="Resistance to rolling at a contact: torque divided by normal force [m]; contacts use the "
+        "larger value of the two surfaces.",
     )
-    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair uses the geometric mean.")
+    restitution: Fraction = Field(
+        0.0, description="Restitution, 0 to 1; contacts use the geometric mean of the two surfaces."
+    )
     color: Color | None = Field(None, description="sRGB color, red, green, blue and optionally opacity, each 0 to 1.")
 
 
@@ -329,7 +336,7 @@ Solid = Literal["exact", "hull"]
 
 
 class BodySpec(Model):
-    """Fields of everything that has mass and a surface."""
+    """Fields shared by everything that has mass and a surface."""
 
     material: Name | None = Field(None, description="A name from `materials`.")
     mass: Quantity | None = Field(None, description="Mass [kg].")
@@ -339,21 +346,23 @@ class BodySpec(Model):
     color: Color | None = Field(None, description="sRGB color, 0 to 1; default: the material's, or the mesh's own.")
     collision: Collision = Field(
         "auto",
-        description="Collision shapes of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, "
-        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no collision. Primitives stay unchanged.",
+        description="Collision shapes of a mesh: `hull` uses one convex hull, `decompose` uses convex parts, and "
+        "`none` disables collision. `auto` uses a box, cylinder, sphere or hull if the mesh is nearly convex, and "
+        "convex parts otherwise. Primitives are not affected.",
     )
     solid: Solid = Field(
         "exact",
-        description="Volume for the mass properties of a mesh: its own (it must be closed), or its convex hull's.",
+        description="Volume used for the mass properties of a mesh: `exact` uses the mesh, which must be closed, and "
+        "`hull` uses its convex hull.",
     )
 
 
 class Conflict(Model):
-    """Two edits of one value that a merge could not unite; the document holds ours until someone decides."""
+    """Two conflicting edits of a value; the document contains ours until the conflict is resolved."""
 
-    base: Any = Field(None, description="Value that both sides started from.")
-    ours: Any = Field(None, description="Value of this side, which the document has.")
-    theirs: Any = Field(None, description="Value of the other side.")
+    base: Any = Field(None, description="Value before either edit.")
+    ours: Any = Field(None, description="Value on our side, which the document contains.")
+    theirs: Any = Field(None, description="Value on the other side.")
 
 
 Silence = Annotated[
@@ -363,21 +372,20 @@ Silence = Annotated[
 
 
 class DocumentSpec(Model):
-    """Keys that every kind of document has."""
+    """Keys that are available in every kind of document."""
 
     extends: FileName | None = Field(
         None,
-        description="A document of the same kind that this one changes, relative to this document. Mappings are merged "
-        "key by key, all other values are replaced, and `null` removes a key.",
+        description="Path of a base document of the same kind, relative to this document, which overrides parts of it. "
+        "Mappings are merged key by key, all other values are replaced, and `null` removes a key.",
     )
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
-    description: str | None = Field(None, description="Description for people.")
+    description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
         {},
-        description="Warnings to silence, each with the reason: `SF402: why`, or for one object only "
-        "`SF402: {cup: why}`.",
+        description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object.",
     )
     conflicts: dict[str, Conflict] = Field(
         {},
-        description="Unresolved conflicts of a merge, by path: correct the value at the path, then remove the entry.",
+        description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry.",
     )

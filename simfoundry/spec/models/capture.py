@@ -1,4 +1,4 @@
-"""``capture/1``: images of a real scene, and the camera that took them."""
+"""The ``capture/1`` document: images of a real scene and the camera that took them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Num
 
 
 class Intrinsics(Model):
-    """Intrinsics of a pinhole camera without distortion [px]."""
+    """Intrinsics of an undistorted pinhole camera [px]."""
 
     fx: Positive = Field(description="Focal length in x [px].")
     fy: Positive = Field(description="Focal length in y [px].")
@@ -19,11 +19,11 @@ class Intrinsics(Model):
 
 
 class DepthImage(Model):
-    """A depth image: 16-bit PNG, TIFF or NumPy array; values are distances along the optical axis."""
+    """A depth image (16-bit PNG, TIFF or NumPy array) whose values are distances along the optical axis."""
 
-    image: FileName = Field(description="File, relative to this document.")
-    scale: Positive = Field(0.001, description="Meters per unit of the image; 0.001 for millimeters.")
-    invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
+    image: FileName = Field(description="Depth image, relative to this document.")
+    scale: Positive = Field(0.001, description="Length of one image unit [m]; 0.001 for millimeters.")
+    invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mark missing measurements.")
     camera: Intrinsics | None = Field(None, description="The depth camera, if it is not the color camera.")
     pose: PoseSpec | None = Field(
         None, description="Pose of the depth camera in the color camera's frame (x right, y down, z forward)."
@@ -32,20 +32,22 @@ class DepthImage(Model):
     @model_validator(mode="after")
     def _both(self) -> Self:
         if (self.camera is None) != (self.pose is None):
-            raise fault("sf107", "`camera` and `pose` of a depth camera go together")
+            raise fault("sf107", "`camera` and `pose` of a depth camera must be set together")
         return self
 
 
 class Masks(Model):
-    """Instance masks: an image in which each object has its own number."""
+    """Instance masks: an image whose pixel values identify the objects."""
 
-    image: FileName = Field(description="File, relative to this document; as large as the color image.")
-    background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that belong to no object.")
-    names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Names of objects by their number.")
+    image: FileName = Field(description="Mask image, relative to this document; must have the size of the color image.")
+    background: tuple[int, ...] = Field(
+        (0,), max_length=256, description="Pixel values that do not belong to any object."
+    )
+    names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Pixel value of each object, by name.")
 
 
 class Shot(Model):
-    """One view: color, depth, the camera, and masks if there are any."""
+    """A view of the scene: color image, depth image, camera, and optional masks."""
 
     color: FileName = Field(description="Color image, relative to this document.")
     depth: DepthImage
@@ -58,4 +60,4 @@ class CaptureSpec(DocumentSpec):
 
     simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
     frames: dict[Name, Shot] = Field(min_length=1, description="Views by name; the first is reconstructed by default.")
-    truth: FileName | None = Field(None, description="A scene with the ground truth.")
+    truth: FileName | None = Field(None, description="A scene document with the ground truth.")

@@ -1,4 +1,4 @@
-"""``cousins/1``: a recipe for variations of a scene that keep its affordances."""
+"""The ``cousins/1`` document: a recipe for variations of a scene that preserve its affordances."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class ValueRange(Model):
-    """A range; a bound that is left out is open."""
+    """A range with optional bounds; an omitted bound means no limit."""
 
     min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Minimum.")
     max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Maximum.")
@@ -42,16 +42,16 @@ class ValueRange(Model):
 
 
 class SceneAxis(Model):
-    """Other layouts: objects are placed anew around an anchor, which stays."""
+    """Layout variations: objects are placed at new positions around an anchor object, which does not move."""
 
     anchor: Name | None = Field(
-        None, description="The object that stays in place; default: the object of the task's goal."
+        None, description="The object that stays in place; default: the object in the task's goal."
     )
     objects: dict[Name, tuple[Side, ...]] = Field(
         min_length=1, description="Objects to place at new positions, each with the allowed relations to the anchor."
     )
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
-        1, description="Number of predicates that each object must satisfy at once."
+        1, description="Number of relations to the anchor that each object must satisfy simultaneously."
     )
     gap: Annotated[tuple[NonNegative, NonNegative], Ordered] = Field(
         (0.02, 0.2), description="Minimum and maximum gap between an object and the anchor [m]."
@@ -62,41 +62,45 @@ class SceneAxis(Model):
 
 
 class ObjectVariants(Model):
-    """Other objects in place of one, with the same affordances."""
+    """Substitutes for one object, with the same affordances."""
 
     sources: tuple[Source, ...] = Field(
-        ("procedural",), min_length=1, description="Sources of variants: rules, a library of meshes, or models."
+        ("procedural",),
+        min_length=1,
+        description="Sources of variants: procedural rules, a mesh library, or generative models.",
     )
     changes: tuple[Change, ...] = Field(
         ("geometry", "appearance"),
         min_length=1,
-        description="Aspects that may differ: shape, parts, or color and material.",
+        description="Aspects that may differ: the shape, the parts, or the color and material.",
     )
-    components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all of them.")
+    components: tuple[Name, ...] = Field(
+        (), description="Functional components that may differ; default: all components."
+    )
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
 
 
 class ObjectModels(Model):
-    """Models that generate variants if a source is `model`; addresses and keys are in the environment."""
+    """Models that generate variants if a source is `model`; URLs and API keys are read from environment variables."""
 
     vlm: ModelName | None = Field(
         None,
-        description="The vision-language model that names parts, proposes changes and judges images, such "
-        "as `openai:gpt-5`; default: that of `--vlm`.",
+        description="Vision-language model that names parts, proposes changes and judges images, such as "
+        "`openai:gpt-5`; default: the value of `--vlm`.",
     )
     images: ModelName | None = Field(
-        None, description="Image-editing model, by the name that its server uses; default: the environment's."
+        None, description="Image-editing model, by its name on the server; default: the model set in the environment."
     )
     meshes: Literal["hunyuan3d"] = Field(
         "hunyuan3d", description="Interface of the server that turns an image into a mesh."
     )
-    texture: bool = Field(True, description="Texture the meshes, which not every server supports.")
+    texture: bool = Field(True, description="Generate textures for the meshes; not every server supports this.")
 
 
 class ObjectAxis(Model):
-    """Other objects in the same layout."""
+    """Object variations: different objects in the same layout."""
 
-    objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
+    objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects to vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
     models: ObjectModels = Field(
         ObjectModels.model_construct(), description="Models that generate variants if a source is `model`."
@@ -104,18 +108,20 @@ class ObjectAxis(Model):
 
 
 class DistractorAxis(Model):
-    """Objects that the task does not involve: taken from a library, and placed without collision."""
+    """Distractors: library objects that the task does not involve, placed without collisions."""
 
-    count: Annotated[tuple[Count, Count], Ordered] = Field((1, 4), description="Minimum and maximum number in a scene.")
+    count: Annotated[tuple[Count, Count], Ordered] = Field(
+        (1, 4), description="Minimum and maximum number of distractors in a scene."
+    )
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
     builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
         True, description="Also choose from the assets that come with SimFoundry."
     )
     categories: tuple[Name, ...] = Field(
-        (), description="Categories to choose from; default: all that the twin does not contain."
+        (), description="Categories to choose from; default: all categories that do not occur in the twin."
     )
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
-        (), description="Categories to leave out."
+        (), description="Categories to exclude."
     )
     mass: ValueRange = Field(ValueRange.model_construct(), description="Mass [kg].")
     volume: ValueRange = Field(ValueRange.model_construct(), description="Volume [m^3].")
@@ -129,12 +135,13 @@ class DistractorAxis(Model):
 
 
 class TaskAxis(Model):
-    """Other tasks in the same scene."""
+    """Task variations: different tasks in the same scene."""
 
     count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="Number of tasks.")
     proposals: Literal["affordances", "model"] = Field(
         "affordances",
-        description="Enumerate tasks from the affordances, or have a vision-language model propose them.",
+        description="Source of the tasks: `affordances` enumerates them from the affordances, and `model` has a "
+        "vision-language model propose them.",
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
     engines: tuple[Engine, ...] = Field(
@@ -143,12 +150,12 @@ class TaskAxis(Model):
 
 
 class CousinsSpec(DocumentSpec):
-    """A recipe: the twin, the axes that vary, and the number of cousins; the same seed gives the same cousins."""
+    """A cousin recipe: the twin, the axes to vary, and the number of cousins. Equal seeds produce equal cousins."""
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="Number of variants.")
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="Seed of the random choices.")
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="Number of cousins.")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="Seed for the random choices.")
     scene: SceneAxis | None = Field(None, description="Vary the layout.")
     object: ObjectAxis | None = Field(None, description="Vary the objects.")
     distractors: DistractorAxis | None = Field(None, description="Add distractors.")

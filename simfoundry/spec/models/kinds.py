@@ -1,4 +1,4 @@
-"""Kinds of documents; each model is imported on first use."""
+"""Document kinds; each kind's model is imported on first use."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.base import DocumentSpec
 
 KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
-"""Kinds with versions, as in the first key of a document."""
+"""Document kinds with versions, as written in the first key of a document."""
 
 
 def suffix(kind: str) -> str:
-    """Return the file name suffix of a kind, such as ``.scene.yaml``."""
+    """Return the file name suffix for a document kind, such as ``.scene.yaml``."""
     return f".{kind.partition('/')[0]}.yaml"
 
 
 def is_document(path: Path) -> bool:
-    """Return True if a file has the name of a document."""
+    """Return True if the file name is that of a document."""
     return path.name == "capture.yaml" or path.name.endswith(tuple(map(suffix, KINDS)))
 
 
 def model_of(kind: str) -> type[DocumentSpec]:
-    """Return the model of a kind of document: ``SceneSpec`` for ``scene/1``."""
+    """Return the model class for a document kind, such as ``SceneSpec`` for ``scene/1``."""
     if kind not in KINDS:
         raise KeyError(kind)
     name = kind.partition("/")[0]

@@ -1,4 +1,4 @@
-"""``policy/1``: the server of a policy, and the conventions that its protocol does not define."""
+"""The ``policy/1`` document: a policy server and the conventions that its protocol does not define."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from simfoundry.runtime.plugins import Registry
 from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive, fault
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
-"""Key of a message to the policy, such as ``observation/wrist_image_left``."""
+"""Key in a message to the policy, such as ``observation/wrist_image_left``."""
 
 
 def _variable(text: str) -> str:
-    """Reject a text that is not a variable name, without repeating it, because it may be a secret key."""
+    """Reject a text that is not a variable name, without echoing it, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
-        raise fault("sf104", "expected the name of an environment variable in capitals, never a key itself")
+        raise fault("sf104", "expected the name of an environment variable in capitals, not the key itself")
     return text
 
 
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
-"""Name of an environment variable; only capitals are allowed, so that a key pasted by mistake is rejected."""
+"""Name of an environment variable; only capitals are allowed, so that a key pasted by accident is rejected."""
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
@@ -35,12 +35,15 @@ Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
 @dataclass(frozen=True)
 class PolicyProtocol:
-    """Properties of one kind of policy server; each is registered once.
+    """A protocol for policy servers.
 
-    ``open`` creates a policy (a :class:`~simfoundry.evaluate.policies.base.Policy`) from a document. An address starts
-    with one of ``schemes``; the first one and ``port`` are the defaults. ``has_path`` is True if an address may have a
-    path. ``tells_state`` is False if the server itself defines the robot state that it receives. ``short_form``
-    contains the additional keys of the document that the short form ``NAME:ADDRESS?…`` stands for.
+    Attributes:
+        open: Function that creates a :class:`~simfoundry.evaluate.policies.base.Policy` from a document.
+        schemes: Schemes that an address may start with; the first one is the default.
+        port: Default port.
+        has_path: True if an address may contain a path.
+        tells_state: False if the server itself defines the robot state that it receives.
+        short_form: Additional keys of the document represented by the short form ``NAME:ADDRESS?…``.
     """
 
     open: Callable[[PolicySpec], Any]
@@ -60,7 +63,7 @@ PROTOCOLS: Registry[PolicyProtocol] = Registry(
     },
     PolicyProtocol,
 )
-"""Protocols of policy servers by name; each is imported when a document uses it."""
+"""Registry of policy server protocols by name; each protocol is imported when a document uses it."""
 
 
 def _protocol(name: str) -> str:
@@ -80,47 +83,54 @@ ProtocolName = Annotated[
     AfterValidator(_protocol),
     Field(json_schema_extra={"examples": list(PROTOCOLS.built_in)}),
 ]
-"""Name of a protocol: built-in, or provided by an installed package."""
+"""Name of a built-in protocol, or of a protocol provided by an installed package."""
 
 _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
 
 
 def address_uri(protocol: str, address: str) -> str:
-    """Return the full form of an address, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
+    """Return the full form of an address, such as ``ws://localhost:8000`` for ``localhost``.
+
+    Raises:
+        ValueError: The address is not valid for the protocol.
+    """
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
     schemes = known.schemes
     if found is None:
-        raise ValueError(f"`{address}` is not an address, as `{schemes[0]}://localhost:{known.port}`")
+        raise ValueError(f"`{address}` is not a valid address, such as `{schemes[0]}://localhost:{known.port}`")
     scheme, host, port, path = found.groups()
     if scheme is not None and scheme not in schemes:
-        raise ValueError(f"an address of {protocol} starts with `{'://` or `'.join(schemes)}://`, not `{scheme}://`")
+        raise ValueError(
+            f"an address for {protocol} must start with `{'://` or `'.join(schemes)}://`, not `{scheme}://`"
+        )
     if port is not None and not 0 < int(port) < 65536:
-        raise ValueError(f"there is no port {port}; ports go from 1 to 65535")
+        raise ValueError(f"port {port} is invalid; ports range from 1 to 65535")
     if path is not None and not known.has_path:
-        raise ValueError(f"an address of {protocol} has no path")
+        raise ValueError(f"an address for {protocol} must not contain a path")
     number = "" if port is None and (scheme == "wss" or path) else f":{port or known.port}"
     return f"{scheme or schemes[0]}://{host}{number}{path or ''}"
 
 
 class CameraView(Model):
-    """An image that the policy receives: a camera of the scene, resized without distortion and padded with black."""
+    """An image that the policy receives from a camera in the scene, resized without distortion and padded in black."""
 
-    camera: Name = Field(description="A camera of the scene.")
+    camera: Name = Field(description="A camera in the scene.")
     size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy expects [px].")
     render: tuple[Pixels, Pixels] | None = Field(
-        None, description="Width and height that the simulator renders, before resizing [px]; default: `size`."
+        None, description="Width and height of the rendered image before resizing [px]; default: `size`."
     )
 
 
 class GripperConvention(Model):
     """Numbers that the policy uses for the gripper, in observations and in actions."""
 
-    open: Number = Field(0.0, description="Number for fully open.")
-    closed: Number = Field(1.0, description="Number for fully closed.")
+    open: Number = Field(0.0, description="Number that means fully open.")
+    closed: Number = Field(1.0, description="Number that means fully closed.")
     threshold: Number | None = Field(
         None,
-        description="Closure, 0 to 1, above which the gripper closes fully; default: intermediate positions are used.",
+        description="Closing fraction, 0 to 1, above which the gripper closes fully; by default, intermediate "
+        "positions are used.",
     )
 
     @model_validator(mode="after")
@@ -128,47 +138,50 @@ class GripperConvention(Model):
         if self.open == self.closed:
             raise fault("sf104", "`open` and `closed` must differ", "closed")
         if self.threshold is not None and not 0 < self.threshold < 1:
-            raise fault("sf104", "`threshold` must lie between 0 and 1", "threshold")
+            raise fault("sf104", "`threshold` must be between 0 and 1", "threshold")
         return self
 
 
 class PolicySpec(DocumentSpec):
-    """A policy behind a server: its address, and the conventions that its protocol does not specify."""
+    """A policy on a server: its address and the conventions that its protocol does not specify."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
     protocol: ProtocolName = Field(
-        description="Protocol of the server: `openpi`, `roboarena`, `groot`, or one of an installed package."
+        description="Server protocol: `openpi`, `roboarena`, `groot`, or a protocol from an installed package."
     )
     address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
-        description="Address of the server: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
+        description="Server address, such as `localhost:8000`, `wss://policies.example.org` or `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="Meaning of the arm's values in an action, which no protocol specifies."
+        description="Meaning of the arm values in an action, which protocols do not specify."
     )
     velocity_unit: Positive | None = Field(
         None,
-        description="Velocity [rad/s or m/s] of the value 1, if velocities range from -1 to 1; DROID: 3. "
-        "Default: velocities are in rad/s or m/s.",
+        description="Velocity [rad/s or m/s] that corresponds to the value 1, if velocities range from -1 to 1; for "
+        "DROID, 3. By default, velocities are in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
-        description="Steps of each action chunk to execute before the policy is queried again."
+        description="Number of steps of each action chunk to execute before the policy is queried again."
     )
-    cameras: dict[WireKey, CameraView] = Field({}, description="Images that the policy receives, by its own keys.")
+    cameras: dict[WireKey, CameraView] = Field(
+        {}, description="Images that the policy receives, by the keys it expects."
+    )
     state: dict[WireKey, Reading] | None = Field(
-        None, description="Robot state that the policy receives, by its own keys; default: as in DROID."
+        None, description="Robot state that the policy receives, by the keys it expects; default: as in DROID."
     )
     gripper: GripperConvention = Field(
         GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
     )
-    timeout: Positive = Field(60.0, le=86400, description="Timeout of a response [s].")
+    timeout: Positive = Field(60.0, le=86400, description="Timeout for a response [s].")
     warm_up: Positive = Field(
         600.0,
         le=86400,
-        description="Timeout of the first response of a connection, during which the server may compile [s].",
+        description="Timeout for the first response on a connection, which the server may delay to compile its "
+        "model [s].",
     )
-    retries: Whole = Field(3, description="Attempts to restore a lost connection before a rollout fails.")
+    retries: Whole = Field(3, description="Number of attempts to restore a lost connection before a rollout fails.")
     api_key: Variable | None = Field(
-        None, description="The environment variable that holds the key of the server; never the key itself."
+        None, description="Name of the environment variable that contains the server's API key, not the key itself."
     )
 
     @model_validator(mode="after")
@@ -180,5 +193,5 @@ class PolicySpec(DocumentSpec):
         if self.velocity_unit is not None and self.action_space != "joint_velocity":
             raise fault("sf107", "`velocity_unit` has no effect on joint positions", "velocity_unit")
         if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
-            raise fault("sf107", f"a server of {self.protocol} defines its own robot state; remove `state`", "state")
+            raise fault("sf107", f"a {self.protocol} server defines its own robot state; remove `state`", "state")
         return self

@@ -1,7 +1,7 @@
-"""Declarations of predicates (name, arguments, and meaning) without numpy.
+"""Predicate declarations (name, arguments, and meaning) that do not require numpy.
 
-Each predicate is a :class:`Predicate` in a module of :mod:`simfoundry.predicates`, or one to which an entry point of
-another package refers, in the group ``simfoundry.predicates``.
+Each predicate is a :class:`Predicate` instance in a module of :mod:`simfoundry.predicates`, or is provided by another
+package through an entry point in the group ``simfoundry.predicates``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Effect(StrEnum):
     """Change that a robot must make for a predicate to become true."""
 
     NONE = "none"
-    """No change that the robot must reach for."""
+    """The robot does not need to reach any object."""
     MOVE = "move"
     """Move the first argument, by pushing or otherwise."""
     GRASP = "grasp"
@@ -32,7 +32,7 @@ class Effect(StrEnum):
     PLACE = "place"
     """Grasp the first argument and put it onto or into the second."""
     JOINT = "joint"
-    """Move the joint that the first argument names."""
+    """Move the joint named by the first argument."""
 
     @property
     def grasps(self) -> bool:
@@ -49,17 +49,22 @@ class Effect(StrEnum):
 class Predicate:
     """Declaration of a predicate and the rule that evaluates it.
 
-    ``parameters`` are the kinds of the arguments: ``thing`` is an object or a part of one, ``body`` is a thing or a
-    robot, ``joint`` is an object (meaning all of its joints) or one of its joints; the others are ``robot`` and
-    ``number``. The last ``optional`` arguments may be omitted.
-
-    ``rule`` is called with :class:`~simfoundry.predicates.judging.judge.Terms` and the arguments, and adds the
-    conditions that must hold to the terms. ``simfoundry check`` imports its module, so numpy is imported only inside
-    the rule. ``definition`` describes when the predicate is true, including thresholds; ``unit`` is the unit of its
-    margin.
-
-    ``aliases`` are the names in other formats; for those in ``robot_first`` the robot comes before the object.
-    ``before_motion`` is the value before any robot has moved; None if it depends on the scene.
+    Attributes:
+        name: Name of the predicate in expressions.
+        meaning: Short description of the predicate.
+        parameters: Kind of each argument. ``thing`` is an object or part of an object, ``body`` is a thing or a robot,
+            and ``joint`` is a single joint, or an object to refer to all of its joints. The remaining kinds are
+            ``robot`` and ``number``.
+        rule: Function that is called with :class:`~simfoundry.predicates.judging.judge.Terms` and the arguments, and
+            adds the conditions that must hold to the terms. ``simfoundry check`` imports the module that defines the
+            rule, so numpy must be imported inside the function.
+        definition: Exact condition under which the predicate is true, including thresholds.
+        unit: Unit of the margin.
+        optional: Number of trailing arguments that may be omitted.
+        effect: Change that a robot must make for the predicate to become true.
+        aliases: Names of the predicate in other formats.
+        robot_first: Aliases whose arguments list the robot before the object.
+        before_motion: Value before any robot has moved, or None if it depends on the scene.
     """
 
     name: str
@@ -76,7 +81,7 @@ class Predicate:
 
     @property
     def counts(self) -> str:
-        """Return the number of arguments as text."""
+        """Return the accepted number of arguments as text, such as ``1 or 2 arguments``."""
         most = len(self.parameters)
         plural = "" if most == 1 else "s"
         return f"{most - self.optional} or {most} arguments" if self.optional else f"{most} argument{plural}"
@@ -105,16 +110,19 @@ PREDICATES = Registry(
     },
     Predicate,
 )
-"""Predicates by name."""
+"""Registry of predicates by name."""
 
 
 def built_in_predicates() -> dict[str, Predicate]:
-    """Return the built-in predicates by name, for schemas and pages, which must not depend on installed plug-ins."""
+    """Return the built-in predicates by name.
+
+    Schemas and documentation use these, because they must not depend on the installed plug-ins.
+    """
     return {name: PREDICATES.load(name) for name in PREDICATES.built_in}
 
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    """Return the canonical name and arguments of a predicate; unknown names are returned unchanged."""
+    """Resolve aliases and return the canonical name and arguments; unknown names are returned unchanged."""
     if name in PREDICATES.built_in:
         return name, arguments
     found = _by_alias(tuple(PREDICATES.built_in)).get(name)
@@ -127,7 +135,10 @@ def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ..
 
 @lru_cache(maxsize=4)
 def _by_alias(names: tuple[str, ...]) -> Mapping[str, Predicate]:
-    """Return the predicates by alias; the first predicate with an alias wins, and broken plug-ins are skipped."""
+    """Return a mapping from alias to predicate.
+
+    If several predicates share an alias, the first one wins. Broken plug-ins are skipped.
+    """
     found: dict[str, Predicate] = {}
     for name in names:
         try:
@@ -145,7 +156,7 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 
 
 class ExpressionError(ValueError):
-    """Error for a text that is not a predicate; ``word`` is the faulty part, and ``choices`` are the valid values."""
+    """Raised if a text is not a valid predicate; ``word`` is the invalid part, and ``choices`` are the valid values."""
 
     def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -154,7 +165,7 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Call:
-    """Predicate with its arguments and their kinds."""
+    """A predicate applied to arguments."""
 
     predicate: str
     args: tuple[str, ...]
@@ -175,7 +186,11 @@ class Call:
 
 @lru_cache(maxsize=1024)  # checks, lowering and predicates parse the same few expressions
 def parse_call(text: str) -> Call:
-    """Parse a predicate by its name or an alias; raises :class:`ExpressionError`."""
+    """Parse a predicate given by its name or an alias.
+
+    Raises:
+        ExpressionError: The text is not a valid predicate.
+    """
     match = _CALL.match(text)
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
@@ -191,9 +206,9 @@ def parse_call(text: str) -> Call:
         raise ExpressionError(f"`{name}` takes {predicate.counts}, not {len(arguments)}")
     for argument, kind in zip(arguments, predicate.parameters, strict=False):
         if kind == "number" and not _NUMBER.match(argument):
-            raise ExpressionError(f"`{argument}` is not a number, which `{name}` takes here")
+            raise ExpressionError(f"`{argument}` is not a number, but `{name}` requires one here")
         if kind != "number" and not _ARGUMENT.match(argument):
-            raise ExpressionError(f"`{argument}` is not the name of an object or of a part of one")
+            raise ExpressionError(f"`{argument}` is not the name of an object or of an object's part")
     return Call(name, arguments)
 
 
@@ -214,7 +229,7 @@ class AllOf(Model):
 class AnyOf(Model):
     """True if at least one condition holds."""
 
-    any: tuple[Condition, ...] = Field(description="Conditions of which at least one must hold.")
+    any: tuple[Condition, ...] = Field(description="Conditions, at least one of which must hold.")
 
 
 # `not` is a Python keyword, so this model cannot be defined with a class statement.
@@ -236,11 +251,11 @@ else:
         | Annotated[NoneOf, Tag("not")],
         Discriminator(_tag),
     ]
-    """Predicate, or a combination of several."""
+    """A predicate, or a combination of conditions."""
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """Return ``text``, ``all``, ``any`` or ``not`` for a condition (typed or plain data), and its operands."""
+    """Split a condition, typed or plain data, into its kind (``text``, ``all``, ``any`` or ``not``) and operands."""
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)
@@ -249,7 +264,7 @@ def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
 
 
 def texts(condition: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str, tuple[str | int, ...]]]:
-    """Yield every predicate of a condition as written, with its path."""
+    """Yield the text of every predicate in a condition together with its path."""
     tag, below = parts(condition)
     if tag == "text":
         if isinstance(condition, str):

@@ -1,4 +1,4 @@
-"""Robots in a scene: model, pose and posture."""
+"""Robots in a scene: model, pose and joint positions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,12 +15,14 @@ JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """Properties of a robot that do not require its model, read from its file in ``simfoundry/robots``.
+    """Robot properties that are available without loading the robot model, read from ``simfoundry/robots``.
 
-    ``reach`` [m] is the largest horizontal distance of a grasp from the base; ``opening`` [m] is the width of the
-    widest object that fits between the fingers; ``payload`` [kg] is the mass of the heaviest object that it should
-    lift, None if unknown; ``links`` are the links on which cameras can be mounted; ``home`` [rad or m] contains joint
-    positions by name.
+    Attributes:
+        reach: Maximum horizontal distance between a grasp and the base [m].
+        opening: Width of the widest object that fits between the fingers [m].
+        payload: Mass of the heaviest object that the robot should lift [kg], or None if unknown.
+        links: Links on which cameras can be mounted.
+        home: Home joint positions by joint name [rad or m].
     """
 
     reach: float
@@ -31,49 +33,54 @@ class KnownRobot:
 
 
 class RobotFiles(Model):
-    """A robot of your own: its model in one or more formats; each target takes its native one.
+    """A custom robot: its model in one or more formats, from which each target uses its native format.
 
-    Rollouts need its hand and gripper (if it has one), which only a robot ``file`` defines.
+    Rollouts need to know the robot's hand and gripper (if it has one), which only a robot ``file`` defines.
     """
 
-    file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
+    file: FileName | None = Field(
+        None, description="A robot file, which defines the models, the hand, the arm joints and the gripper."
+    )
     mjcf: FileName | None = Field(
         None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
     )
-    urdf: FileName | None = Field(None, description="URDF, named in the same ways.")
-    usd: FileName | None = Field(None, description="USD, named in the same ways.")
+    urdf: FileName | None = Field(None, description="URDF, in the same notation.")
+    usd: FileName | None = Field(None, description="USD, in the same notation.")
 
     @model_validator(mode="after")
     def _any(self) -> Self:
         bare = [key for key in ("mjcf", "urdf", "usd") if getattr(self, key) is not None]
         if self.file is not None and bare:
-            raise fault("sf107", f"`file` names all models: remove `{bare[0]}`, or `file`")
+            raise fault("sf107", f"`file` already defines all models; remove either `{bare[0]}` or `file`")
         if self.file is None and not bare:
             raise fault("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed")
         return self
 
 
 class RobotSpec(Model):
-    """A robot; its base is welded to the world."""
+    """A robot whose base is welded to the world."""
 
     model: Annotated[
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
-    ] = Field(description="A known robot, such as `franka_robotiq`, or the files of another one.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its base in the world.")
+    ] = Field(description="The name of a known robot, such as `franka_robotiq`, or the files of a custom robot.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the robot's base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
-    ] = Field("home", description="`home`, or joint positions by name [rad or m]; those not named are at home.")
+    ] = Field("home", description="`home`, or joint positions by name [rad or m]; joints not listed are at home.")
     reach: Positive | None = Field(
-        None, description="Horizontal reach from its base [m]; defaults to the known robot's reach."
+        None, description="Horizontal reach from the base [m]; default: the known robot's reach."
     )
     opening: Positive | None = Field(
-        None, description="Widest opening between its fingers [m]; default: that of the known robot."
+        None, description="Maximum opening between the fingers [m]; default: the known robot's opening."
     )
 
     def known(self) -> KnownRobot | None:
-        """Return the known robot with this name; None if it is unknown or its file is faulty, which `check` reports."""
+        """Return the known robot with this name.
+
+        Returns None if the robot is unknown or its file is invalid; `check` reports invalid files.
+        """
         from simfoundry.spec.models.robot_file import find_robot
 
         try:

@@ -1,6 +1,7 @@
-"""Robot files, which describe one robot each, and the look-up of robots by name.
+"""Read robot files, each of which describes one robot, and look up robots by name.
 
-Robots that scenes can name have files in ``simfoundry/robots``, in a user folder, or in installed packages.
+The robots that scenes can refer to are described by files in ``simfoundry/robots``, a user folder, or an installed
+package.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ from simfoundry.spec.models.base import Model, Name, Number, PoseSpec, Positive
 from simfoundry.spec.models.robot import JointName, KnownRobot
 
 Reference = str
-"""File of a model: a path, `pkg:package/path`, `menagerie:robot`, or `robot_descriptions:name`; the last two may be
-followed by `/path`."""
+"""Location of a model file: a path, `pkg:package/path`, `menagerie:robot`, or `robot_descriptions:name`; `/path` may be
+appended to the last two forms."""
 
 Travel = tuple[Number, Number]
-"""Values with the gripper open and with it closed."""
+"""Values for the open and the closed gripper."""
 
 
 class FrameSpec(Model):
-    """A named frame of the robot, at a pose in a link of the model."""
+    """A named frame of the robot, attached to a link of the model."""
 
-    link: str = Field(description="The link, by the model's name.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the frame in the link.")
+    link: str = Field(description="Name of the link in the model.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the frame in the link's frame.")
 
 
 class FollowSpec(Model):
-    """A joint that follows another: its position is ``multiplier`` times that one's plus ``offset``."""
+    """Coupling of a joint to a leader ``joint``: its position is ``multiplier`` times the leader's plus ``offset``."""
 
     joint: JointName
     multiplier: Number = 1.0
@@ -45,59 +46,70 @@ class FollowSpec(Model):
 
 
 class GripperSpec(Model):
-    """Command and travel of a gripper."""
+    """Commands and joint travel of a gripper."""
 
-    command: dict[str, Travel] = Field({}, description="Values of the model's actuators; default: of the joints.")
-    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first measures the opening.")
+    command: dict[str, Travel] = Field({}, description="Actuator commands; default: the joint positions.")
+    joints: dict[JointName, Travel] = Field(
+        description="Joint positions [rad or m]; the first joint is used to measure the opening."
+    )
     follow: dict[JointName, FollowSpec] = Field(
-        {}, description="Joints that the model moves by closed loops or equations, for targets without those."
+        {},
+        description="Joints that the model moves through closed loops or equations, for targets that support neither.",
     )
 
 
 class AttachSpec(Model):
-    """A model that is attached to a link of another."""
+    """A model attached to a link of another model."""
 
     file: Reference | list[Reference]
-    to: str = Field(description="The link to attach it to.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its base in that link.")
+    to: str = Field(description="The link to which the model is attached.")
+    pose: PoseSpec = Field(
+        PoseSpec.model_construct(), description="Pose of the attached model's base in the link's frame."
+    )
 
 
 class ModelSpec(Model):
-    """A robot in one format. Names of an attached model are prefixed with its own: `gripper.base`."""
+    """A robot model in one format. Names in an attached model are prefixed with its name, as in `gripper.base`."""
 
     file: Reference | list[Reference] = Field(
-        description="The file, or several, of which the first that exists is used."
+        description="The model file, or a list of files from which the first existing one is used."
     )
-    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, such as a gripper, by name.")
-    links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, such as `hand`.")
-    joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
+    attach: dict[Name, AttachSpec] = Field(
+        {}, description="Models attached to links of this model, such as a gripper, by name."
+    )
+    links: dict[Name, FrameSpec] = Field({}, description="Frames that scenes can refer to, such as `hand`, by name.")
+    joints: list[JointName] = Field(
+        [], description="Names of the arm joints, in the order `joint1`, `joint2` and so on."
+    )
     gripper: GripperSpec | None = None
     effort: dict[JointName, Positive] = Field(
-        {}, description="Maximum force of a joint [N m or N], if the file's differs from the robot's."
+        {}, description="Maximum force of a joint [N m or N], if the value in the file differs from the real robot."
     )
 
     @model_validator(mode="after")
     def _arm(self) -> Self:
         if self.gripper is not None and not self.joints:
-            raise PydanticCustomError("arm", "`joints` must list the arm's joints where there is a gripper", {})
+            raise PydanticCustomError("arm", "`joints` must list the arm joints if the model has a gripper", {})
         return self
 
     @property
     def files(self) -> list[Reference]:
-        """Return the files to look for, best first."""
+        """Return the candidate files in order of preference."""
         return [self.file] if isinstance(self.file, str) else self.file
 
 
 class RobotFileSpec(Model):
-    """A robot: its model in each available format, and facts that no model states."""
+    """A robot: its model in each available format, and properties that model files do not contain."""
 
-    reach: Positive | None = Field(None, description="Horizontal reach from its base [m].")
-    opening: Positive | None = Field(None, description="Widest opening between its fingers [m].")
-    payload: Positive | None = Field(None, description="The heaviest object that it should lift [kg].")
-    home: list[Number] | None = Field(None, description="Home position of the arm: `joint1` and so on [rad or m].")
+    reach: Positive | None = Field(None, description="Horizontal reach from the base [m].")
+    opening: Positive | None = Field(None, description="Maximum opening between the fingers [m].")
+    payload: Positive | None = Field(None, description="Mass of the heaviest object that the robot should lift [kg].")
+    home: list[Number] | None = Field(
+        None, description="Home positions of the arm joints, starting with `joint1` [rad or m]."
+    )
     mjcf: ModelSpec | None = None
     urdf: ModelSpec | None = None
-    usd: Annotated[ModelSpec | None, Field(description="A USD whose default prim is the robot.")] = None
+    usd: Annotated[ModelSpec | None, Field(description="A USD file whose default prim is the robot.")] = None
 
     @property
     def models(self) -> dict[str, ModelSpec]:
@@ -107,12 +119,16 @@ class RobotFileSpec(Model):
 
     @property
     def home_positions(self) -> dict[str, float]:
-        """Return the home position [rad or m] of the arm by the joint names that scenes use."""
+        """Return the home positions [rad or m] of the arm, keyed by the joint names that scenes use."""
         return {f"joint{k}": position for k, position in enumerate(self.home or (), 1)}
 
 
 def read_robot_file(file: Path) -> RobotFileSpec:
-    """Read a robot file; raises :class:`SimfoundryError` for a faulty one."""
+    """Read a robot file.
+
+    Raises:
+        SimfoundryError: The file cannot be read or is invalid.
+    """
     try:
         data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         models = RobotFileSpec.model_validate_json(json.dumps(data))
@@ -124,25 +140,27 @@ def read_robot_file(file: Path) -> RobotFileSpec:
         reason = str(error).splitlines()[0]
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
             reason = f"line {error.problem_mark.line + 1}: {error.problem}"
-        raise SimfoundryError(f"{file} is not a robot file: {reason}") from None
+        raise SimfoundryError(f"{file} is not a valid robot file: {reason}") from None
     if not models.models:
-        raise SimfoundryError(f"{file} names no model; give `mjcf`, `urdf` or `usd`; see docs/robots.md for the format")
+        raise SimfoundryError(
+            f"{file} does not define a model; add `mjcf`, `urdf` or `usd`; see docs/robots.md for the format"
+        )
     return models
 
 
 GROUP = "simfoundry.robots"
 
 OWN_ROBOTS = "SIMFOUNDRY_ROBOTS"
-"""Environment variable with the path of a user folder of robot files such as `my_arm.yaml`."""
+"""Environment variable with the path of a user folder that contains robot files such as `my_arm.yaml`."""
 
 BUILT_IN = Path(__file__).parents[2] / "robots"
 """Folder of the built-in robots."""
 
 
 def own_folder(must_exist: bool = False) -> Path | None:
-    """Return the user folder of robot files if it is set and exists.
+    """Return the user's robot folder, or None if it is not set or does not exist.
 
-    With ``must_exist``, raise :class:`SimfoundryError` if it is set but missing.
+    If ``must_exist`` is set, a folder that is set but does not exist raises :class:`SimfoundryError`.
     """
     named = os.environ.get(OWN_ROBOTS)
     folder = Path(named).expanduser().resolve() if named else None
@@ -154,16 +172,19 @@ def own_folder(must_exist: bool = False) -> Path | None:
 
 
 def robot_names() -> list[str]:
-    """Return the robots that a scene can name: built-in, in the user folder, and in installed packages."""
+    """Return the names of all available robots: built-in, in the user folder, and in installed packages."""
     folders = [BUILT_IN, *filter(None, [own_folder()])]
     return list(dict.fromkeys([*(p.stem for f in folders for p in sorted(f.glob("*.yaml"))), *plugins(GROUP)]))
 
 
 def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
-    """Return the file of the robot called ``name``, and the document that its paths are relative to.
+    """Look up a robot file by robot name; a file in the user folder overrides fields of a built-in robot.
 
-    A file in the user folder overrides a built-in robot. None if the robot is unknown; raises :class:`SimfoundryError`
-    for a faulty file.
+    Returns:
+        The robot file and the path of the file that its paths are relative to, or None if the robot is unknown.
+
+    Raises:
+        SimfoundryError: The file is invalid.
     """
     folder = own_folder()
     own = folder / f"{name}.yaml" if folder is not None else None
@@ -179,25 +200,26 @@ def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
 
 
 def find_robot(name: str) -> KnownRobot | None:
-    """Return the robot that scenes call ``name``; None if there is none.
+    """Return the robot with this name, or None if the robot is unknown.
 
-    Raises :class:`SimfoundryError` if its file lacks fields that scenes require.
+    Raises:
+        SimfoundryError: The robot file is invalid, or lacks fields that scenes require.
     """
     found = known_robot_file(name)
     if found is None:
         return None
     spec, path = found
     if spec.reach is None or spec.opening is None or spec.home is None:
-        raise SimfoundryError(f"{path} needs `reach`, `opening` and `home`, so that scenes can name the robot")
+        raise SimfoundryError(f"{path} must define `reach`, `opening` and `home` before scenes can use the robot")
     links = dict.fromkeys(frame for model in spec.models.values() for frame in model.links)
     return KnownRobot(spec.reach, spec.opening, spec.payload, tuple(links), MappingProxyType(spec.home_positions))
 
 
 def _read(path: Path) -> RobotFileSpec:
-    """Read a robot file, cached for all scenes that name it."""
+    """Read a robot file, using a cache that is invalidated when the file changes."""
     return _read_once(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache(maxsize=64)
-def _read_once(path: Path, changed: int) -> RobotFileSpec:  # noqa: ARG001 - a key of the cache only
+def _read_once(path: Path, changed: int) -> RobotFileSpec:  # noqa: ARG001 - used only as a cache key
     return read_robot_file(path)

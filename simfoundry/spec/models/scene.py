@@ -1,4 +1,4 @@
-"""``scene/1``: objects, materials, cameras, lights and the relations among them."""
+"""The ``scene/1`` document: objects, materials, robots, cameras, lights, and relations between objects."""
 
 import math
 from collections.abc import Mapping
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 SIDES = ("left_of", "right_of")
 DEPTHS = ("in_front_of", "behind")
 PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
-"""Keys of a place that name an object."""
+"""Keys of a place whose value is the name of an object."""
 
 
 class Place(Model):
-    """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
+    """A placement on or inside a support, from which the pose is computed by lowering the object onto the shapes below.
 
-    Left, right, front and behind are seen from the scene's viewpoint. Without `xy`, `local_xy` or one of these four,
-    the object is at the center of its support. With one of the four, it is aligned with the center of its anchor in
-    the other direction.
+    Left, right, front and behind are relative to the scene's viewpoint. If no horizontal position is specified, the
+    object is placed at the center of its support. If only one of `left_of`, `right_of`, `in_front_of` and `behind` is
+    set, the object is aligned with the center of that reference object along the other axis.
     """
 
     on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
@@ -59,11 +59,11 @@ class Place(Model):
     local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
         None, description="Position of its frame in the frame of its support [m]."
     )
-    left_of: Name | None = Field(None, description="Object to the right of it.")
-    right_of: Name | None = Field(None, description="Object to the left of it.")
-    in_front_of: Name | None = Field(None, description="Object behind it, farther from the viewer.")
-    behind: Name | None = Field(None, description="Object in front of it, nearer to the viewer.")
-    gap: NonNegative = Field(0.03, le=FARTHEST, description="Gap to the object beside it [m].")
+    left_of: Name | None = Field(None, description="Reference object; this object is placed to its left.")
+    right_of: Name | None = Field(None, description="Reference object; this object is placed to its right.")
+    in_front_of: Name | None = Field(None, description="Reference object; this object is placed closer to the viewer.")
+    behind: Name | None = Field(None, description="Reference object; this object is placed farther from the viewer.")
+    gap: NonNegative = Field(0.03, le=FARTHEST, description="Gap to the reference object [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
@@ -98,7 +98,7 @@ JointPosition = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[PoseSpec, Tag("pose")],
     Discriminator(_position_tag),
 ]
-"""Joint position: a number, ``{deg: 30}``, or for a ball or free joint a pose relative to its zero position."""
+"""Joint position: a number, ``{deg: 30}``, or, for a ball or free joint, a pose relative to the zero position."""
 
 Touching = tuple[PartName, PartName]
 
@@ -106,7 +106,7 @@ Touching = tuple[PartName, PartName]
 Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
 
 DEFAULT_VARIANT = "default"
-"""Name of the variant that is the object as written."""
+"""Name of the variant that is the object without any overrides."""
 
 
 class GeometrySpec(BodySpec):
@@ -116,11 +116,11 @@ class GeometrySpec(BodySpec):
     asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
-    scale: Positive = Field(1.0, description="Factor from the units of the mesh to meters.")
+    scale: Positive = Field(1.0, description="Length of one mesh unit [m].")
 
 
 class VariantSpec(GeometrySpec):
-    """Differences of one variant from its object; all other properties are those of the object.
+    """Overrides for one variant of an object; all other properties are inherited from the object.
 
     A new `shape` or `asset` also removes the object's `scale` and `visual`.
     """
@@ -134,32 +134,33 @@ class VariantSpec(GeometrySpec):
         exclusive(self, "shape", "asset")
         exclusive(self, "mass", "density")
         if not self.model_fields_set:
-            raise fault("sf107", "a variant lists its differences, and this one has none")
+            raise fault("sf107", "a variant must override at least one property of its object")
         return self
 
 
 class ObjectSpec(GeometrySpec):
-    """An object of the scene: a primitive `shape`, or an `asset` (a mesh file or an asset document)."""
+    """An object in the scene: a primitive `shape` or an `asset` (a mesh file or an asset document)."""
 
     visual: FileName | None = Field(
         None, description="A mesh to render instead of the shape; it has no effect on physics."
     )
-    category: Name | None = Field(None, description="Category, such as `mug`; default: its name.")
-    labels: Labels = Field((), description="Labels for vision systems, the most specific first; default: its category.")
-    fixed: bool = Field(False, description="Welded to the world.")
-    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of its frame in the world.")
-    place: Place | None = Field(None, description="Placement from which its pose is computed, instead of `pose`.")
+    category: Name | None = Field(None, description="Category, such as `mug`; default: the object's name.")
+    labels: Labels = Field((), description="Labels for vision systems, most specific first; default: the category.")
+    fixed: bool = Field(False, description="If true, the object is welded to the world.")
+    pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose of the object's frame in the world.")
+    place: Place | None = Field(None, description="Placement from which the pose is computed; replaces `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
-        description="Joint positions by name: meters, radians, or `{deg: 30}`; for a ball joint a rotation such as "
-        "`{rpy_deg: [10, 0, 20]}`, for a free joint a pose; default: 0.",
+        description="Joint positions by name: in meters, in radians, or as `{deg: 30}`. A ball joint accepts a "
+        "rotation such as `{rpy_deg: [10, 0, 20]}`, and a free joint accepts a pose. Default: 0.",
     )
     variant: Name | None = Field(
-        None, description="The variant to compile, one of `variants`; default: `default`, the object as written."
+        None, description="The variant to compile, one of `variants`; default: `default`, the object without overrides."
     )
     variants: dict[Name, VariantSpec] = Field(
         {},
-        description="Variants by name, each with its differences from the object; USD stores them in one variant set.",
+        description="Variants by name, each of which overrides properties of the object; USD stores them in one "
+        "variant set.",
     )
     origin: Origin | None = Field(None, description="Origin of the description.")
 
@@ -169,7 +170,11 @@ class ObjectSpec(GeometrySpec):
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
         if DEFAULT_VARIANT in self.variants:
-            raise fault("sf107", "no variant may be called `default`, which is the object as written", "variants")
+            raise fault(
+                "sf107",
+                "no variant may be named `default`, which is reserved for the object without overrides",
+                "variants",
+            )
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise fault("sf107", "`scale` is for meshes; change the shape itself", "scale")
         return self
@@ -183,23 +188,28 @@ class CameraSpec(Model):
     )
     fx: Positive = Field(description="Focal length in x [px].")
     fy: Positive = Field(description="Focal length in y [px].")
-    cx: Number | None = Field(None, description="Principal point in x [px]; default: the middle, (width - 1) / 2.")
-    cy: Number | None = Field(None, description="Principal point in y [px]; default: the middle, (height - 1) / 2.")
-    pose: CameraPose = Field(description="Pose in the world, or in the frame of its mount.")
+    cx: Number | None = Field(
+        None, description="Principal point in x [px]; default: (width - 1) / 2, the image center."
+    )
+    cy: Number | None = Field(
+        None, description="Principal point in y [px]; default: (height - 1) / 2, the image center."
+    )
+    pose: CameraPose = Field(description="Pose in the world, or in the mount's frame if `mount` is set.")
     mount: PartName | None = Field(
-        None, description="Mount of the camera: a robot's link (`arm.hand`), an object, or a link of one."
+        None,
+        description="Frame to which the camera is attached: a robot link (`arm.hand`), an object, or an object's link.",
     )
 
 
 class LightSpec(Model):
-    """A light."""
+    """A light source."""
 
     type: Literal["distant", "point", "dome"] = Field(description="Kind of light: parallel rays, a point, or a dome.")
     intensity: NonNegative = Field(
         1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
     )
     color: Color = Field((1.0, 1.0, 1.0), description="sRGB color, 0 to 1.")
-    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which a distant light shines.")
+    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which the rays of a distant light travel.")
     xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
 
     @model_validator(mode="after")
@@ -215,7 +225,7 @@ class BackgroundSpec(Model):
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
     pose: PoseSpec = Field(PoseSpec.model_construct(), description="Pose in the world.")
-    scale: Positive = Field(1.0, description="Factor from the units of the file to meters.")
+    scale: Positive = Field(1.0, description="Length of one unit in the file [m].")
 
     @model_validator(mode="after")
     def _one_file(self) -> Self:
@@ -224,14 +234,15 @@ class BackgroundSpec(Model):
 
 
 class SceneSpec(DocumentSpec):
-    """A scene. World frame: right-handed, z up; SI units."""
+    """A scene. The world frame is right-handed with z up, and all units are SI."""
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
     viewpoint: Name | None = Field(
         None,
-        description="Camera or robot that defines left, right, front and behind; default: x points away, y left.",
+        description="Camera or robot whose view defines left, right, front and behind; by default, x points away from "
+        "the viewer and y points left.",
     )
-    gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")
+    gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Gravitational acceleration [m/s^2].")
     materials: dict[Name, Material] = Field({}, description="Materials by name.")
     objects: dict[Name, ObjectSpec] = Field({}, description="Objects by name.")
     robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
@@ -241,27 +252,28 @@ class SceneSpec(DocumentSpec):
     no_contact: tuple[Touching, ...] = Field(
         (),
         max_length=1000,
-        description="Pairs that do not collide: objects, or their links such as `cabinet.door`.",
+        description="Pairs of objects, or of links such as `cabinet.door`, that do not collide.",
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")
 
 
 Written = float | Degrees | PoseSpec
-"""Position [m or rad], angle in degrees, or pose of a ball or free joint."""
+"""Joint position as written: a number [m or rad], an angle in degrees, or the pose of a ball or free joint."""
 
 
 def number(position: Written) -> float:
-    """Convert a written position to a number [m or rad]; 0 for a joint with a pose."""
+    """Convert a joint position as written to a number [m or rad]; a pose is converted to 0."""
     if isinstance(position, Degrees):
         return math.radians(position.deg)
     return position if isinstance(position, float | int) else 0.0
 
 
 def position(asset: "AssetSpec", name: str, given: Mapping[str, Written]) -> float:
-    """Return the position [m or rad] of a joint, 0 if not ``given``; a mimic joint follows its leader.
+    """Return the position [m or rad] of a joint, or 0 if it is not in ``given``.
 
-    If the leaders form a cycle or a leader does not exist, the position is 0.
+    The position of a mimic joint is computed from its leader. If the leaders form a cycle or a leader does not exist,
+    the position is 0.
     """
     seen: set[str] = set()
     scale, offset = 1.0, 0.0
@@ -276,13 +288,14 @@ def position(asset: "AssetSpec", name: str, given: Mapping[str, Written]) -> flo
 
 GEOMETRY = ("shape", "asset")
 OF_GEOMETRY = ("scale", "visual")
-"""Fields that belong to a shape or mesh and are dropped when it is replaced."""
+"""Fields that describe a shape or mesh and are dropped when the shape or mesh is replaced."""
 
 
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
-    """Return the variant ``name`` of an object, without further variants; ``default`` is the object as written.
+    """Return the variant ``name`` of an object as an object without variants.
 
-    Raises :class:`pydantic.ValidationError` if object and variant are incompatible, such as a `scale` for a primitive.
+    ``default`` is the object without any overrides. Raises :class:`pydantic.ValidationError` if the object and the
+    variant are incompatible, for example if the variant sets `scale` for a primitive.
     """
     given: dict[str, Any] = {key: getattr(item, key) for key in item.model_fields_set - {"variant", "variants"}}
     if name != DEFAULT_VARIANT:
@@ -298,5 +311,5 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
 
 
 def variant_names(item: ObjectSpec) -> list[str]:
-    """Return the names of all variants of an object, ``default`` first; empty if it has none."""
+    """Return the names of an object's variants, starting with ``default``; the list is empty if it has no variants."""
     return [DEFAULT_VARIANT, *item.variants] if item.variants else []

@@ -1,4 +1,4 @@
-"""``task/1``: instruction, goal, steps and starts of a task in a scene."""
+"""The ``task/1`` document: the instruction, goal, steps and initial states of a task in a scene."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Range = tuple[Number, Number]
 
 
 class Start(Model):
-    """Differences from the scene at the start."""
+    """Differences between the initial state and the scene."""
 
     place: dict[Name, Place] = Field({}, description="Objects with a different place, by name.")
     pose: dict[Name, PoseSpec] = Field({}, description="Objects with a different pose, by name.")
@@ -41,22 +41,26 @@ class Start(Model):
     def _once(self) -> Self:
         twice = [name for name in self.place if name in self.pose]
         if twice:
-            raise fault("sf107", f"`{twice[0]}` has a place and a pose; give one", "pose")
+            raise fault("sf107", f"`{twice[0]}` has both a place and a pose; remove one of them", "pose")
         return self
 
 
 class Subtask(Model):
-    """A step of the task, done once its goal has held."""
+    """A step of the task, complete once its goal has been satisfied."""
 
     goal: Condition = Field(
-        description="Condition that ends the step: a predicate, or `all`, `any`, `not` of conditions."
+        description="Condition that ends the step: a predicate, or conditions combined with `all`, `any` and `not`."
     )
-    instruction: Instruction | None = Field(None, description="Instruction for the policy if the step is run alone.")
-    start: Start | None = Field(None, description="Start of the step if it is run alone, on top of the task's `start`.")
+    instruction: Instruction | None = Field(
+        None, description="Instruction for the policy when the step is run on its own."
+    )
+    start: Start | None = Field(
+        None, description="Initial state when the step is run on its own, applied on top of the task's `start`."
+    )
 
 
 class ResetRegion(Model):
-    """Region in which an object starts; its height is unchanged."""
+    """Region for the initial position of an object; the height of the object is unchanged."""
 
     x: Annotated[Point2, Ordered] = Field(description="Minimum and maximum x in the world [m].")
     y: Annotated[Point2, Ordered] = Field(description="Minimum and maximum y in the world [m].")
@@ -66,36 +70,39 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """Variation of the start states: each rollout puts each object into a different cell of its region's grid."""
+    """Variation of the initial state: each rollout places each object in a different cell of its region's grid."""
 
-    grid: tuple[Cells, Cells] = Field((5, 5), description="Cells of each region along x and y.")
-    objects: dict[Name, ResetRegion] = Field({}, description="Start regions of objects, by name.")
+    grid: tuple[Cells, Cells] = Field((5, 5), description="Number of cells in each region along x and y.")
+    objects: dict[Name, ResetRegion] = Field({}, description="Initial regions by object name.")
 
 
 class TaskSpec(DocumentSpec):
-    """A task: an instruction, the goal that ends it, its steps, and the starts of its rollouts."""
+    """A task: an instruction, the goal that ends it, its steps, and the initial states of its rollouts."""
 
     simfoundry: Literal["task/1"] = Field(description="The kind and version of this document.")
     scene: FileName = Field(description="The scene, relative to this document.")
     instruction: Instruction = Field(description="Instruction for the policy.")
     robots: tuple[Name, ...] | None = Field(
-        None, min_length=1, max_length=8, description="Robots that act; default: all of the scene."
+        None,
+        min_length=1,
+        max_length=8,
+        description="Robots that the policy controls; default: all robots in the scene.",
     )
     goal: Condition = Field(
-        description="Condition that ends the task: a predicate, or `all`, `any`, `not` of conditions."
+        description="Condition that ends the task: a predicate, or conditions combined with `all`, `any` and `not`."
     )
     subtasks: dict[Name, Subtask] = Field({}, description="Steps by name, in order.")
-    start: Start = Field(Start(), description="Differences from the scene at the start.")
-    reset: Reset = Field(Reset(), description="Variation of the starts of rollouts.")
+    start: Start = Field(Start(), description="Differences between the initial state and the scene.")
+    reset: Reset = Field(Reset(), description="Variation of the initial state between rollouts.")
     control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
     horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
-        600, description="Maximum number of control steps, after which the task has failed."
+        600, description="Maximum number of control steps, after which the rollout fails."
     )
     origin: Origin | None = Field(None, description="Origin of the task.")
 
 
 def with_starts(spec: SceneSpec, starts: Iterable[Start]) -> SceneSpec:
-    """Return the document with its objects moved as the starts specify; later starts override earlier ones."""
+    """Return the scene with the initial states in ``starts`` applied; later entries override earlier ones."""
     objects = dict(spec.objects)
     for start in starts:
         for name, place in start.place.items():

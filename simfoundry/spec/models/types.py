@@ -1,4 +1,4 @@
-"""Types and canonical key order of the models along document paths."""
+"""Look up model types and the canonical key order along document paths."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from simfoundry.spec.yaml.text import read
 _KEYS: dict[str, Any] = read(Path(__file__).with_name("keys.yaml")).data
 
 EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
-"""Groups of mutually exclusive keys; if an overlay sets one, it replaces the others of its group in the base."""
+"""Groups of mutually exclusive keys; a key set by an overlay replaces the base's other keys in the same group."""
 
 REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
-"""Keys whose value is a name or a list of names, and the sections in which the names are looked up."""
+"""Sections in which names are looked up, by the key whose value is a name or a list of names."""
 
 RIVALS = {key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in sum(EXCLUSIVE, ())}
-"""Keys that exclude a key."""
+"""For each key, the keys that it cannot be combined with."""
 
 Pattern = tuple[str, ...]
-"""Path in which ``*`` stands for any name or index."""
+"""Path in which ``*`` matches any name or index."""
 
 
 def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
@@ -43,7 +43,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """Yield the possible types of the member ``part`` of a type."""
+    """Yield the possible types of the member ``part`` (a key or an index) in a type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             info = kind.model_fields[part]
@@ -55,13 +55,13 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
-    """Return the current key for each former key of a model's fields."""
+    """Return a mapping from each former key of a model to the current key."""
     marks = ((name, mark) for name, info in model.model_fields.items() for mark in info.metadata)
     return {mark.key: name for name, mark in marks if isinstance(mark, FormerKey)}
 
 
 def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Yield the paths of former keys in a document, each with the current key, innermost first."""
+    """Yield the path of each former key in a document together with its current key, innermost first."""
     kinds = [kind for _, kind in flat(root)]
     if isinstance(data, dict):
         models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -77,7 +77,7 @@ def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterat
 
 
 def with_present_keys(root: Any, data: Any) -> Any:
-    """Return the data of a document with the current names of its keys."""
+    """Return a document's data with all former keys renamed to the current ones."""
     for path, name in former_paths(root, data):
         data = _renamed(data, path, name)
     return data
@@ -94,12 +94,12 @@ def _renamed(data: Any, path: tuple[str | int, ...], name: str) -> Any:
 
 
 def is_mapping(model: type[BaseModel], key: str) -> bool:
-    """Return True if a field is a named mapping."""
+    """Return True if a field is a mapping from names to members."""
     return typing.get_origin(model.model_fields[key].annotation) is dict
 
 
 def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
-    """Yield the members of a union type, each with its tag."""
+    """Yield each member of a union type with its discriminator tag."""
     origin = typing.get_origin(kind)
     if origin is typing.Annotated:
         inner, *metadata = typing.get_args(kind)
@@ -113,7 +113,7 @@ def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
 
 
 def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
-    """Yield the patterns of the paths at which a kind of document refers to files."""
+    """Yield patterns for the paths at which a kind of document refers to files."""
     for name, info in model.model_fields.items():
         whole = typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
         yield from ((name, *below) for below in _files(whole, (*seen, model)))
@@ -141,9 +141,9 @@ _RANK = {name: rank - len(_KEYS["first"]) for rank, name in enumerate(_KEYS["fir
 
 
 def field_order(model: type[Model]) -> list[str]:
-    """Return the names of a model's fields in the order in which they are written.
+    """Return the names of a model's fields in canonical order.
 
-    This is the order of the model, except for bodies and whole documents, whose models begin with inherited fields.
+    This is the order of definition, except for bodies and whole documents, whose models begin with inherited fields.
     """
     if not issubclass(model, BodySpec | DocumentSpec):
         return list(model.model_fields)
@@ -151,7 +151,7 @@ def field_order(model: type[Model]) -> list[str]:
 
 
 class KeyOrder:
-    """Order of the keys at and below a path in a document."""
+    """Canonical order of the keys at a path in a document and below it."""
 
     def __init__(self, *types_: Any) -> None:
         kinds = [kind for type_ in types_ for _, kind in flat(type_)]
@@ -166,12 +166,12 @@ class KeyOrder:
         self._inside: dict[str, KeyOrder] = {}
 
     def ordered(self, keys: Iterable[str]) -> list[str]:
-        """Return fields in canonical order, followed by other keys in their given order; names keep their order."""
+        """Return fields in canonical order, followed by all other keys, such as names, in their original order."""
         rank = self._rank
         return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
 
     def member(self, key: str) -> KeyOrder:
-        """Return the order of the keys below a key."""
+        """Return the key order for the value of ``key``."""
         known = key in self._fields
         slot = self._inside.get(key if known else "")
         if slot is None:
@@ -180,11 +180,11 @@ class KeyOrder:
 
     @functools.cached_property
     def item(self) -> KeyOrder:
-        """Return the order of the keys in the items of a list."""
+        """Return the key order for the items of a list."""
         return KeyOrder(*self._items)
 
 
 @functools.cache
 def key_order(model: type[Model] | None) -> KeyOrder:
-    """Return the order of a whole document."""
+    """Return the key order for a complete document."""
     return KeyOrder(model)

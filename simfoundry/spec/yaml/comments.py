@@ -23,7 +23,7 @@ _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
 
 @dataclass(slots=True)
 class Notes:
-    """Comments of a value and of its members, by key or index."""
+    """The comments of a value and, by key or index, of its members."""
 
     above: list[str] = field(default_factory=list)
     beside: str = ""
@@ -38,14 +38,14 @@ class Notes:
 def read_notes(text: str, root: Node, first: str) -> Notes:
     """Return the comments of a text that was parsed into ``root``.
 
-    Comments at the top belong to the document if ``first`` is its first key.
+    Comments at the top are assigned to the document if ``first`` is its first key.
     """
     return _Reader(text, root, first).read()
 
 
 @dataclass(slots=True)
 class _Frame:
-    """Mapping or list that is still open; ``indent`` is its column, or -1 in brackets."""
+    """A mapping or list that is not closed yet; ``indent`` is its column, or -1 inside brackets."""
 
     node: Node
     path: Path_
@@ -61,7 +61,7 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Pending:
-    """Comment whose owner depends on the next event; ``alone`` is True on its own line or after a dash."""
+    """A comment whose owner depends on the next event; ``alone`` is True if it is on its own line or after a dash."""
 
     start: int
     column: int
@@ -169,9 +169,9 @@ class _Reader:
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
     def _about_whole(self, start: int, in_list: bool) -> int:
-        """Count the pending comments that belong to the whole value that starts here and not to its first entry.
+        """Count the pending comments that belong to the value that starts here rather than to its first entry.
 
-        They are above the dash of an item, beside its dash, or beside a colon on a line of its own.
+        These comments are above or beside the dash of an item, or beside a colon on a separate line.
         """
         ends = [c.start for c in self.pending[1:]] + [start]
         for k in range(len(self.pending) - 1, -1, -1):
@@ -213,7 +213,7 @@ class _Reader:
     # -- comments -------------------------------------------------------------------------------------------------
 
     def _gap(self, end: int) -> None:
-        """Collect the comments before ``end``; the text up to there contains nothing else."""
+        """Collect the comments before ``end``; the text up to ``end`` must contain only comments."""
         while 0 <= self.next < end:
             match = _COMMENT.match(self.text, self.next)
             assert match is not None

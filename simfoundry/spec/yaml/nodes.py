@@ -12,10 +12,10 @@ import yaml
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
 MAX_DEPTH = 64
-"""Largest nesting depth: specs in this repository have at most 9 levels, and Python's recursion limit is 1000."""
+"""Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000."""
 
 MAX_NODES = 150_000
-"""Largest number of values, counting repetitions by aliases: a scene of 1,000 objects has about 16,000."""
+"""Maximum number of values, counting repetitions by aliases; a scene with 1,000 objects has about 16,000 values."""
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
@@ -38,10 +38,11 @@ _NO_KEYS: dict[str, tuple[int, int]] = {}
 
 @dataclass(slots=True)
 class Node:
-    """Value with its position (from 1); mappings have the positions of their keys, unquoted scalars their text.
+    """A value with its position, counted from 1.
 
-    ``weight`` counts the values in it, including repetitions by aliases. ``file`` is set if the value and its key come
-    from a file that the document extends rather than from the document itself.
+    Mappings also store the positions of their keys, and unquoted scalars store their text. ``weight`` is the number of
+    contained values, including repetitions by aliases. ``file`` is set if the value and its key come from a file that
+    the document extends rather than from the document itself.
     """
 
     value: Any
@@ -55,7 +56,7 @@ class Node:
 
 
 class YamlError(Exception):
-    """Error that prevents reading a text."""
+    """Raised if a text could not be read."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
         super().__init__(message)
@@ -68,7 +69,7 @@ class YamlError(Exception):
 
 @dataclass(slots=True)
 class _Open:
-    """Open collection: its start, its members, and for a mapping the key that waits for a value.
+    """An open collection: its start, its members and, for a mapping, the key whose value has not been read yet.
 
     ``key`` contains the key's name, line, column, and text if it is plain.
     """
@@ -80,7 +81,7 @@ class _Open:
 
     @property
     def wants_key(self) -> bool:
-        """Return True if a key comes next."""
+        """Return True if the next event is a key."""
         return self.key is None and type(self.children) is dict
 
 
@@ -194,9 +195,9 @@ class Composer:
 
 
 def _rejoined(items: list[Node]) -> list[Node]:
-    """Rejoin a bracketed sequence that plain YAML splits inside parentheses: ``[OnTop(cup, desk), Closed(box)]``.
+    """Rejoin strings that YAML splits inside parentheses in bracketed lists, as in ``[OnTop(cup, desk), Closed(box)]``.
 
-    Plain YAML splits such a string at its comma. Only unquoted scalars have ``plain``; quoted ones are left unchanged.
+    YAML splits such strings at the comma. Only unquoted scalars have ``plain`` set; quoted scalars are not changed.
     """
     if not any("(" in item.plain for item in items):
         return items

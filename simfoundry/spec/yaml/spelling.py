@@ -14,7 +14,7 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
 DIGITS = 6
-"""Number of decimals: micrometers and milligrams, finer than the accuracy of any capture."""
+"""Number of decimals; micrometers and milligrams are finer than the accuracy of any capture."""
 LARGE = 1e15
 """Numbers at least this large are written with an exponent."""
 
@@ -26,12 +26,12 @@ _FRAME: dict[Where, tuple[str, Any]] = {
     "item": ("[a, {}, b]", lambda text: ("a", text, "b")),
     "value": ("{{a: {}, b: 1}}", lambda text: {"a": text, "b": 1}),
 }
-"""Document around a string in each context; the string needs no quotes if it reads back unchanged."""
+"""Test document for a string in each context; the string does not need quotes if it reads back unchanged."""
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
-"""Strings that people and other YAML readers may interpret as a number, a time, or a date."""
+"""Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date."""
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
@@ -44,7 +44,7 @@ def number(value: float) -> str:
 
 
 def rounded(value: float) -> float:
-    """Round a number to six decimals, or a tiny number to four significant digits, which is finer."""
+    """Round a number to six decimals; tiny numbers keep four significant digits, which is more precise."""
     if value == 0 or not math.isfinite(value) or abs(value) >= LARGE:
         return value
     return float(f"{value:.3e}" if abs(value) < 10 ** (2 - DIGITS) else f"{value:.{DIGITS}f}")
@@ -91,7 +91,7 @@ def scalar(value: Any, where: Where) -> str:
 
 @functools.lru_cache(maxsize=8192)
 def string(text: str, where: Where) -> str:
-    """Format a string on one line: unquoted if it reads back unchanged, else in double quotes."""
+    """Format a string on one line, without quotes if it reads back unchanged and otherwise in double quotes."""
     if _is_word(text):
         return text
     closed = where == "block" or text.count("(") == text.count(")")
@@ -117,7 +117,7 @@ def quoted(text: str) -> str:
 
 @functools.lru_cache(maxsize=1024)
 def literal(text: str) -> tuple[str, ...] | None:
-    """Return the header ``|`` and the lines of a multi-line string; None if it has one line or needs another style."""
+    """Return the header ``|`` and the lines of a multi-line string, or None if another style is required."""
     if "\n" not in text.rstrip("\n"):
         return None
     lines = tuple(text.removesuffix("\n").split("\n"))
@@ -128,7 +128,7 @@ def literal(text: str) -> tuple[str, ...] | None:
 
 @functools.lru_cache(maxsize=1024)
 def folded(text: str, width: int) -> tuple[str, ...] | None:
-    """Return the header ``>-`` and the lines of a long string, wrapped at spaces; None if it needs another style."""
+    """Return the header ``>-`` and the lines of a long string, wrapped at spaces, or None if it needs another style."""
     if not text.isprintable():
         return None
     lines = tuple(_filled(text.split(" "), width))

@@ -19,7 +19,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.yaml.nodes import EVENTS, Composer, Node, YamlError
 
 MAX_BYTES = 4 * 2**20
-"""Largest size of a text [bytes]; a scene of 1,000 objects takes 0.14 MiB."""
+"""Maximum size of a text [bytes]; a scene with 1,000 objects requires 0.14 MiB."""
 
 UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that must be escaped in a YAML text."""
@@ -28,7 +28,7 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(frozen=True)
 class Document:
-    """Parsed text: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
+    """A parsed text: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
 
     file: str
     text: str
@@ -36,13 +36,13 @@ class Document:
     root: Node
     duplicates: tuple[Diagnostic, ...]
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
-    """Members that it adds to its base, by path, with the names of the existing members."""
+    """Members that this document adds to its base, by path, with the names of the existing members."""
 
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
-        """Return the line and column of the value at ``path`` (or its key), or of its nearest ancestor.
+        """Return the line and column of the value at ``path`` (or of its key), or of the nearest existing ancestor.
 
-        For a mapping, the position is that of its key, because its own text starts with the key of its first member.
-        Parts of ``path`` that do not exist in the data (the tags of a union) are skipped.
+        For a mapping, this is the position of its key, because the mapping's text starts with its first member's key.
+        Parts of ``path`` that do not exist in the data, such as the tags of a union, are skipped.
         """
         key = leaf = (self.root.line, self.root.column)
         for _, key, node in self._walk(path):
@@ -115,7 +115,7 @@ _MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$",
 
 
 def _conflict(text: str) -> int:
-    """Return the line (from 1) where a git conflict starts; 0 if there is none."""
+    """Return the line (from 1) at which a git conflict starts, or 0 if the text does not contain a conflict."""
     start, wanted = 0, 0
     for number, line in enumerate(text.splitlines() if "<<<<<<<" in text else (), 1):
         if _MARKERS[wanted].match(line):
@@ -164,7 +164,7 @@ _SYNTAX = (
     ("unknown escape character", "unknown escape sequence", "write a backslash twice in double quotes"),
     ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
 )
-"""Messages of the parser, and the corresponding message and hint for users."""
+"""Parser messages with the corresponding message and hint for users."""
 
 
 def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:

@@ -18,11 +18,13 @@ KIND = "simfoundry"
 
 @dataclass(frozen=True, slots=True)
 class YamlTree:
-    """Value with the comments around it; each comment is the text from ``#`` to the end of the line.
+    """A value with the comments around it; each comment is the text from ``#`` to the end of the line.
 
-    ``value`` is a scalar, a mapping of trees, or a tuple of trees. ``above`` contains the comments before it (before
-    its key), ``beside`` the comment at the end of its line, and ``end`` the comments after the last entry of a mapping
-    or list. For a whole document, ``above`` contains the comments at the top and ``end`` those at the end.
+    Attributes:
+        value: A scalar, a mapping of trees, or a tuple of trees.
+        above: Comments before the value's key, or at the top of the document.
+        beside: Comment at the end of the value's line.
+        end: Comments after the last entry of a mapping or list, or at the end of the document.
     """
 
     value: Any
@@ -57,11 +59,11 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Return a tree of new plain data with the comments of ``tree``, in the order of ``data``.
+    """Return a tree of the new plain ``data``, in its order, with the comments from ``tree``.
 
-    Values that remain keep their comments, removed values lose them, and new values have none. An entry of a mapping
-    remains if its key does, even if its value changes. An item of a list remains if there is an equal item, or a
-    changed item between the same neighbors.
+    Comments of removed values are dropped. A mapping entry keeps its comments if its key still exists, even if its
+    value changes. A list item keeps its comments if an equal item exists, or if it was changed but has the same
+    neighbors.
     """
     if isinstance(data, dict):
         if not isinstance(tree.value, dict):
@@ -90,7 +92,7 @@ def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, .
 
 
 def read_tree(document: Document) -> YamlTree:
-    """Return the tree of a document (without its bases) with all comments; aliases are written out.
+    """Return the tree of a document (without its bases) with all comments; aliases are expanded.
 
     Raises :class:`SpecError` for duplicate keys, because one of the values would be lost.
     """

@@ -16,12 +16,12 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
 
 WIDTH = 110
-"""Line width [columns]: two documents fit side by side in a diff on a wide screen."""
+"""Line width [columns], so that two documents fit side by side in a diff on a wide screen."""
 
 MAX_KEY = 1000
-"""Longest simple key [characters]; YAML requires a question mark before longer keys."""
+"""Maximum length of a simple key [characters]; YAML requires a question mark before longer keys."""
 NEIGHBORS = 24
-"""Largest difference in length [columns] of neighboring lines whose comments are aligned."""
+"""Maximum difference in length [columns] between neighboring lines whose comments are aligned."""
 
 _BLOCKS = ("objects", "links", "frames")
 """Sections whose members are written on several lines."""
@@ -33,7 +33,7 @@ _PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
 """Predicate with more than one argument."""
 
 Line = tuple[str, str]
-"""Line and the comment beside it, which may be empty."""
+"""A line and the comment beside it, which may be empty."""
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:
@@ -77,7 +77,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
 def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
     """Return the lines of one entry of a block mapping, indented by ``indent`` columns.
 
-    Comments above the entry are omitted; comments beside and inside it are written.
+    Comments above the entry are omitted; trailing comments and comments inside the entry are included.
     """
     spelled = _spelled(tree, path[-1] in _PREDICATES)
     blocks: set[int] = set()
@@ -88,7 +88,7 @@ def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None
 
 
 def inline_text(data: Any, path: tuple[str, ...], model: type[Model] | None, in_braces: bool) -> str | None:
-    """Return the text of a value after its key on one line; None if it needs several lines."""
+    """Return the text of a value that fits on one line after its key, or None if it needs several lines."""
     tree = _spelled(plain_tree(data), path[-1] in _PREDICATES or path[-2:-1] == ("relations",))
     blocks: set[int] = set()
     needs_lines = _collect_blocks(tree, blocks)
@@ -124,8 +124,8 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
     """Collect values that cannot be written on one line because they contain a comment, a long text, or a predicate.
 
-    Inside brackets, other YAML readers, including editors, would split ``OnTop(cup, desk)`` at the comma. Return True
-    if the parent of the tree cannot be on one line because of it.
+    Predicates are included because editors and other YAML readers split ``OnTop(cup, desk)`` at the comma inside
+    brackets. Returns True if the tree prevents its parent from being written on one line.
     """
     value = tree.value
     inside = bool(value) and bool(tree.end)
@@ -145,7 +145,7 @@ def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
 
 
 class _Writer:
-    """Writes mappings and lists; ``blocks`` contains the identities of trees that cannot be on one line."""
+    """Writes mappings and lists; ``blocks`` contains the identities of trees that do not fit on one line."""
 
     def __init__(self, blocks: set[int]) -> None:
         self.blocks = blocks
@@ -214,7 +214,7 @@ class _Writer:
         yield from self.short(head, tree, slot, indent, beside)
 
     def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
-        """Yield the lines of a value that is not a block: one line, or several for a long list or text."""
+        """Yield the lines of a value that is not a block; this is a single line except for long lists or texts."""
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
             return
@@ -228,7 +228,7 @@ class _Writer:
             yield f"{head} {flow}", beside
 
     def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
-        """Yield the lines of a text: one line, or several if it contains line breaks or is too long."""
+        """Yield the lines of a text, which has several lines if it contains line breaks or is too long."""
         lines = literal(text)
         line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
@@ -255,7 +255,7 @@ class _Writer:
         return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
 
     def flow(self, tree: YamlTree, slot: KeyOrder, where: Any) -> str:
-        """Return a value on one line."""
+        """Format a value on a single line."""
         value = tree.value
         if isinstance(value, dict):
             inside = (
@@ -329,7 +329,7 @@ def to_data(spec: Model) -> dict[str, Any]:
 
 @cache
 def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
-    """Return the name, whether it is required, and the default of each field, in canonical order."""
+    """Return a (name, required, default) tuple for each field in canonical order."""
     fields = model.model_fields
     needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
     return tuple((name, name in needed, _data(fields[name].default)) for name in field_order(model))
@@ -352,7 +352,7 @@ def _data(value: Any) -> Any:
 
 
 def _written_alike(a: Any, b: Any) -> bool:
-    """Return True if two values have the same text, where numbers are written with six decimals."""
+    """Return True if two values are written as the same text, with numbers rounded to six decimals."""
     match a, b:
         case (float(), float() | int()) | (int(), float()):
             return rounded(a) == rounded(b)

@@ -52,7 +52,7 @@ def test_a_page_is_whole(page: Page) -> None:
     leads = re.findall(r"^\*\*([^*]+)\*\*", page.body, re.MULTILINE)
     examples = [] if page.code in NOT_SHOWN else ["Wrong.", "Right."]
     silence = ["How to silence it."] if page.code.startswith("SF4") and "cannot be silenced" not in page.body else []
-    assert [lead for lead in leads if lead != "Beside it."] == ["How to fix it.", *examples, *silence]
+    assert [lead for lead in leads if lead != "Supporting files."] == ["How to fix it.", *examples, *silence]
     assert max(map(len, page.markdown.splitlines())) <= 150
 
 
@@ -68,7 +68,7 @@ def written(page: Page, lead: str, folder: Path, more: str = "") -> Path:
     """The example below ``lead`` with what stands beside it, as files; the document that is meant."""
     (folder / "simfoundry.yaml").touch()
     for snippet in page.snippets:
-        if snippet.lead in (lead, "Beside it"):
+        if snippet.lead in (lead, "Supporting files"):
             text = f"# {snippet.name}\n{snippet.text}{more if snippet.lead == lead else ''}"
             (folder / snippet.name).write_text(text, encoding="utf-8")
     return folder / next(s.name for s in page.snippets if s.lead == lead)

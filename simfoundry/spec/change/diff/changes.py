@@ -1,10 +1,10 @@
-"""Changes between two documents as data: the edits that turn one into the other.
+"""Compute the edits that turn one document into another, as data.
 
 Documents are plain data: mappings with string keys, tuples, and scalars. Members of named mappings are matched by
 name. If one member disappears and a nearly equal one appears, the pair is treated as a rename
-(:mod:`simfoundry.spec.change.diff.changes`). Lists are replaced as a whole, except lists of expressions (``relations``,
-``all``, ``any``) and of pairs (``no_contact``), which are compared as sets: each expression or pair is a member whose
-name is its text. ``1`` and ``1.0`` are the same number.
+(:mod:`simfoundry.spec.change.diff.changes`). Lists are replaced as a whole, except for lists of expressions
+(``relations``, ``all``, ``any``) and lists of pairs (``no_contact``), which are compared as sets: each expression or
+pair is a member whose name is its text. ``1`` and ``1.0`` are considered equal.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Reorder:
 
 @dataclass(frozen=True)
 class Rename:
-    """Rename of the member ``old`` of the mapping at ``section``, and of every reference to it."""
+    """Rename of the member ``old`` in the mapping at ``section``, including all references to it."""
 
     section: Path_
     old: str
@@ -76,7 +76,7 @@ Change = Set | Add | Remove | Rename | Reorder
 def diff(a: Any, b: Any) -> tuple[Change, ...]:
     """Return the changes that turn ``a`` into ``b``, including changes of key order.
 
-    Renames come first; all other changes use paths and old values as they are after the renames.
+    Renames come first; the paths and old values of all other changes already include the renames.
     """
     renames = find_renames(a, b)
     return (*renames, *_value(renamed(a, renames), b, ()))
@@ -88,7 +88,7 @@ def to_json(change: Change) -> dict[str, Any]:
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """Return the members of a mapping by name, or of a list of expressions by text; None for other values."""
+    """Return the members of a mapping by name or of a list of expressions by text, or None for other values."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -149,10 +149,10 @@ ALIKE = 0.6
 """Smallest fraction of equal values at which two members are treated as a rename."""
 
 IDENTITY = ("shape", "asset", "mesh", "model")
-"""Keys that identify a member: if one differs, the two members are different objects."""
+"""Keys that identify a member; if any of them differs, the two members are different objects."""
 
 MAX_PAIRS = 40_000
-"""Largest number of candidate pairs for which similarity is computed; above it, only equal members match."""
+"""Maximum number of candidate pairs for which similarity is computed; if there are more, only equal members match."""
 
 BESIDE = {"variant": "variants"}
 """Keys whose value names a member of the mapping that contains them."""
@@ -214,7 +214,7 @@ def copied(value: Any) -> Any:
 
 
 def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, Any], dict[str, Any]]]:
-    """Yield every named mapping that both documents have at the same path."""
+    """Yield every named mapping that exists at the same path in both documents."""
     if not (isinstance(a, dict) and isinstance(b, dict)):
         return
     if path and path[-1] in SECTIONS:
@@ -225,7 +225,7 @@ def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, An
 
 
 def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
-    """Match members of ``a`` to differently named members of ``b``, most similar pair first, each used once."""
+    """Match members of ``a`` to differently named members of ``b``, most similar first; each is used at most once."""
     gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
     come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
     if len(gone) * len(come) > MAX_PAIRS:
@@ -245,7 +245,7 @@ def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rena
 
 
 class _Member:
-    """Named member with its values by path."""
+    """A named member with its values by path."""
 
     def __init__(self, name: str, value: dict[str, Any]) -> None:
         self.name, self.value = name, value
@@ -279,7 +279,7 @@ def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
 
 
 def _space(section: Path_) -> str:
-    """Return the section in which the names of a mapping are defined; empty if nothing refers to them."""
+    """Return the section that defines the names in a mapping, or an empty string if nothing refers to the names."""
     if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
         return "objects"
     return section[0] if len(section) == 1 else ""

@@ -56,7 +56,7 @@ class Describing:
         return verbs, facts
 
     def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
-        """Return facts about one field; ``was`` and ``is_`` state whether the old and the new document have it."""
+        """Describe the change of one field; ``was`` and ``is_`` state whether the old and new documents contain it."""
         key = path[-1]
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
@@ -94,7 +94,7 @@ class Describing:
     # -- position ---------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Describe motion between poses or places; return the keys that the description covers."""
+        """Describe the motion between poses or places, and return the keys covered by the description."""
         if any("place" in side for side in (old, new)):
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
@@ -169,7 +169,7 @@ class Describing:
         return f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, given: bool, document: Mapping[str, Any], unit: str) -> str:
-        """Return a value with its unit or, if the document does not set it, the source of the value."""
+        """Return a value with its unit, or the source of the value if the document does not set it."""
         key = path[-1]
         if given:
             return values.with_unit(values.value(key, item), unit)
@@ -191,7 +191,7 @@ class Describing:
         return values.with_unit(values.value(path[-1], item), self._unit(path))
 
     def _users(self, material: str) -> str:
-        """List the users of a material, because a change of the material affects them."""
+        """List the objects that use a material and are therefore affected by its changes."""
         things = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
         users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
@@ -199,13 +199,13 @@ class Describing:
 
 
 def _closing(old: Any, new: Any) -> str:
-    """Describe at which end of its range a joint is closed, now and before."""
+    """Describe the limits at which a joint was closed before and is closed now."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
 
 def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
-    """Yield facts such as ``goal gains Inside(cup, bowl)`` and ``relations lose OnTop(cup, desk)``."""
+    """Yield descriptions such as ``goal gains Inside(cup, bowl)`` and ``relations lose OnTop(cup, desk)``."""
     label, gain, lose = (key, "gain", "lose") if key == "relations" else (key, "gains", "loses")
     if key == "goal":
         before, after = _conjuncts(old), _conjuncts(new)
@@ -278,7 +278,7 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """Return the path with ``*`` in place of names; it is the cache key of a field's properties."""
+    """Return the path with ``*`` in place of names, used as a cache key for the properties of a field."""
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 

@@ -1,4 +1,4 @@
-"""Describe values of documents: numbers with units, colors, shapes, places, and motion between poses."""
+"""Describe document values: numbers with units, colors, shapes, places, and motion between poses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.write import number
 
 LONGEST = 48
-"""Longest text shown [characters]; two of them fit on one line of changes."""
+"""Maximum length of a displayed text [characters], so that two texts fit on one line."""
 
 FEW = 4
-"""Length of the longest list of numbers that is written out: a quaternion."""
+"""Maximum length of a list of numbers that is written out, which is the length of a quaternion."""
 
 FREE_TEXTS = ("description", "instruction", "note")
 """Fields that contain prose."""
@@ -36,7 +36,7 @@ def joined(items: Iterable[str]) -> str:
 
 @lru_cache(maxsize=4096)
 def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
-    """Return the unit of a field from the brackets in its description; empty if it has none."""
+    """Return the unit in the brackets of a field's description, or an empty string if the field has no unit."""
     for owner in models_at(model, path[:-1]) if model is not None else ():
         info = owner.model_fields.get(path[-1])
         found = _UNIT.search(info.description or "") if info is not None else None
@@ -160,13 +160,13 @@ Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 STILL_M = 5e-7
-"""Smallest reported translation [m]: positions are written with six decimals, so less is rounding."""
+"""Smallest reported translation [m]; smaller values are rounding errors, because positions have six decimals."""
 
 STILL_DEG = 5e-4
-"""Smallest reported rotation [deg]: less is rounding of a quaternion with six decimals."""
+"""Smallest reported rotation [deg]; smaller values are rounding errors of quaternions with six decimals."""
 
 AXIS_DEG = 1.0
-"""Largest angle [deg] from x, y or z at which a rotation axis is reported as that axis."""
+"""Maximum angle [deg] between a rotation axis and x, y or z at which the rotation is reported as about that axis."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ def _distance(shift: Vector) -> str:
 
 
 def _scale(length: float) -> tuple[float, str, int]:
-    """Return the factor from meters, the unit, and the decimals that make a length easy to read."""
+    """Return a readable unit for a length, with the conversion factor from meters and the number of decimals."""
     if length >= 0.9995:
         return 1.0, "m", 3
     if length >= 0.00995:

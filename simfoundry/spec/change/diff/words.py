@@ -11,7 +11,7 @@ from simfoundry.spec.change.diff.fields import Describing
 from simfoundry.spec.models.base import Model
 
 WIDTH = 100
-"""Width of a line of changes [columns]; if a member needs more, each change gets its own line."""
+"""Maximum width of a line of changes [columns]; if the changes of a member are longer, each one gets its own line."""
 
 _RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
 _LAST = {"cameras": 8, "lights": 9, "materials": 10}
@@ -43,7 +43,7 @@ class MemberChange:
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
-        """Return one line if the changes fit, else one indented line for each fact."""
+        """Return a single line if the changes fit on it, and otherwise one indented line for each change."""
         facts = [_single(fact) for fact in self.facts]
         if not self.name:
             return ("; ".join(facts),)
@@ -93,7 +93,7 @@ def text(entries: Iterable[MemberChange]) -> list[str]:
 
 
 def summary(entries: Iterable[MemberChange]) -> str:
-    """Count the changes: ``2 moved, 1 removed, goal changed``; empty if nothing changed."""
+    """Summarize the changes as ``2 moved, 1 removed, goal changed``; the summary is empty if nothing changed."""
     entries = tuple(entries)
     named = [e for e in entries if e.name]
     counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]

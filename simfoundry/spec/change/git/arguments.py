@@ -1,4 +1,4 @@
-"""Documents at revisions: interpret the arguments of ``diff`` and ``log``, and follow the history of a document."""
+"""Interpret the arguments of ``diff`` and ``log``, and follow the history of a document."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from simfoundry.spec.change.git.revisions import (
 
 
 class ArgumentError(SimfoundryError):
-    """Error for arguments that do not specify two states to compare."""
+    """Raised if the arguments do not specify two states to compare."""
 
 
 @dataclass(frozen=True)
 class DocumentState:
-    """State of a document: the file ``path``, or ``path`` at ``commit`` in the repository at ``root``."""
+    """A state of a document: the file ``path``, or ``path`` at ``commit`` in the repository at ``root``."""
 
     path: str
     label: str
@@ -47,7 +47,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Span:
-    """Range from one revision to another, or to the working tree if ``new`` is empty, as the user wrote it."""
+    """A range, as written by the user, from one revision to another or, if ``new`` is empty, to the working tree."""
 
     old: str
     new: str
@@ -142,7 +142,7 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
 
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
-    """Yield the pair for one document, or for every document below a folder that differs."""
+    """Yield the pair of states for one document, or for every document in a folder that differs."""
     root, inside = _inside(path)
     span = _span(root, revisions)
     if path.is_dir():
@@ -189,7 +189,7 @@ _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
 
 @dataclass(frozen=True)
 class Commit:
-    """Commit with its full hash; ``date`` is in ISO 8601. It is compared with its first parent."""
+    """A commit with its full hash and an ISO 8601 ``date``; it is compared with its first parent."""
 
     id: str
     parents: tuple[str, ...]
@@ -209,9 +209,10 @@ class HistoryEntry:
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
     """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
 
-    ``revisions`` are arguments of `git rev-list`: commits to start from, and commits with ``^`` at which to stop. Each
-    commit is compared with its first parent, each joined with the documents that it extended at that time. A merge
-    commit counts only if it differs from all of its parents. The history follows renames of the document.
+    ``revisions`` are arguments for `git rev-list`: commits to start from, and commits prefixed with ``^`` at which to
+    stop. Each commit is compared with its first parent, and both versions are joined with the documents that they
+    extended at that time. Merge commits are included only if they differ from all of their parents. The history
+    follows renames of the document.
     """
     names, commits = _trace(root, revisions, path)
     for each in commits:
@@ -224,7 +225,7 @@ def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = Fal
 
 
 def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:
-    """Read the document under the first of its names that exists in a commit."""
+    """Read the document from a commit, using the first of its names that exists there."""
     with files_of(root, revision) as read:
         for name in names:
             found = export(read, name, folder)

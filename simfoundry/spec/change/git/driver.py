@@ -1,4 +1,4 @@
-"""External diff driver for git: compares two versions of one document and never fails."""
+"""External diff driver for git, which compares two versions of a document and never fails."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ NOTHING = "/dev/null"
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
     """Return the output for the arguments ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
 
-    ``top`` is the top folder of the working tree. A document that extends another is compared as a whole if its base is
-    known on both sides, and otherwise by its own fields. Documents that cannot be compared are shown as a plain diff.
+    ``top`` is the root of the working tree. If a document extends another one, the complete documents are compared if
+    the base is known on both sides; otherwise, only the document's own fields are compared. Documents that cannot be
+    compared are shown as a plain diff.
     """
     if len(arguments) == 1:
         return [f"* unmerged: {arguments[0]}"]
@@ -43,7 +44,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
 
 
 def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
-    """Return one side; None if git reports that it does not exist."""
+    """Return one side of the comparison, or None if git reports that the document does not exist on that side."""
     if file == NOTHING:
         return None
     known = id_ if id_.strip("0.") else ""
@@ -59,7 +60,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """Compare both sides; None if one is invalid or anything else fails, because `git diff` must continue."""
+    """Compare both sides; return None if either is invalid or an error occurs, because `git diff` must continue."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -72,7 +73,7 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
 
 
 def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
-    """Compare both sides joined with the documents that they extend; None if those are unknown."""
+    """Compare both sides joined with the documents that they extend; return None if those are unknown."""
     sides = dict[str, Side | None]()
     for name, blob in (("old", old), ("new", new)):
         read = read_beside(top, blob) if blob is not None else None
@@ -123,17 +124,17 @@ def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list
 
 
 LOOKUP_S = 2.0
-"""Time limit [s] for the search for one blob: `git log -p` starts one for every document of every commit."""
+"""Time limit [s] for one blob search, because `git log -p` starts a search for every document in every commit."""
 
 MAX_STATES = 5000
-"""Largest number of commits to search; each needs a look-up for every document."""
+"""Maximum number of commits to search, because each commit requires a lookup for every document."""
 
 Row = tuple[str | None, ...]
-"""Blobs of some paths in one state of the repository."""
+"""The blobs at a set of paths in one state of the repository."""
 
 
 class _UnknownError(Exception):
-    """Error if the documents beside a blob cannot be determined, or not within the time limit."""
+    """Raised if the documents that belong to a blob cannot be determined within the time limit."""
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,10 @@ class Blob:
 
 
 def read_beside(top: Path, blob: Blob) -> Read | None:
-    """Return a reader of the documents beside a blob in the repository at ``top``; None if its base is ambiguous.
+    """Return a reader for the documents that belong to a blob, or None if the blob's base is ambiguous.
 
-    Other documents that it refers to can be read only if they are unambiguous; the reader reports the rest as missing.
+    ``top`` is the root of the working tree. Other documents that the blob refers to can be read only if they are
+    unambiguous; the reader reports ambiguous documents as missing.
     """
     if blob.in_worktree and not blob.id:
         return _only(blob, lambda name: _in_worktree(top, name))
@@ -175,7 +177,7 @@ def _in_worktree(top: Path, name: str) -> bytes | None:
 
 @dataclass
 class _Lookup:
-    """State of one search; ``deadline`` is in seconds of the monotonic clock."""
+    """The state of one search; ``deadline`` is a monotonic clock time [s]."""
 
     top: Path
     blob: Blob
@@ -187,7 +189,7 @@ class _Lookup:
         self.chain = [self.blob.path]
 
     def read(self) -> Read:
-        """Return a reader of the documents after searching until no further ones are found."""
+        """Search until no further documents are found, and return a reader for the documents."""
         texts = {self.blob.path: self.blob.content}
         while True:
             ids = self._sure([*self.chain, *self.others])
@@ -200,7 +202,7 @@ class _Lookup:
                 return lambda name: texts.get(name)
 
     def _follow(self, texts: dict[str, bytes]) -> None:
-        """Add the documents that those in ``texts`` extend or refer to."""
+        """Add the documents that the documents in ``texts`` extend or refer to."""
         for path in list(self.chain):
             base = extended(path, texts.get(path, b""))
             if base is not None and base not in self.chain:
@@ -210,7 +212,7 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """Return the blob of each path that is the same in all states with ours; raises if the base is ambiguous."""
+        """Return the blobs that are identical in all states that contain our blob; raise if the base is ambiguous."""
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:
             raise _UnknownError
@@ -223,7 +225,7 @@ class _Lookup:
         return found
 
     def _rows(self, paths: list[str]) -> set[Row]:
-        """Return the blobs of the paths in every commit that changes one, in the index, and possibly on disk."""
+        """Return the blobs of the paths in the index, possibly on disk, and in each commit that changes a path."""
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()

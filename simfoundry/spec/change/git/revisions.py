@@ -1,4 +1,4 @@
-"""Read documents of a git revision and the files that they refer to."""
+"""Read documents and the files that they refer to from a git revision."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
 
 Read = Callable[[str], bytes | None]
-"""Function that returns the content of a file, given its path in the repository (with ``/``); None if missing."""
+"""Function that maps a path in the repository (with ``/``) to the content of the file, or None if it is missing."""
 
 MAX_FILES = 10_000
-"""Largest number of files for one document: ten, including textures, for each of a thousand objects."""
+"""Maximum number of files for one document: ten files (including textures) for each of a thousand objects."""
 
 _NAMED = {
     ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
     ".mtl": re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
 }
-"""Lines of mesh and material files that name one or more files, possibly after options."""
+"""Lines in mesh and material files that refer to one or more files, possibly after options."""
 
 
 class GitError(SimfoundryError):
-    """Failure of git, with git's own message."""
+    """Raised if a git command fails; contains git's error message."""
 
 
 @dataclass(frozen=True)
 class Renamed:
-    """Document that differs: its path in the old and the new revision, each None if it is absent."""
+    """A document that differs: its paths in the old and the new revision, each None if the document is absent."""
 
     old: str | None
     new: str | None
@@ -152,7 +152,7 @@ def document_references(name: str, data: bytes) -> list[str]:
 
 
 def extended(name: str, data: bytes) -> str | None:
-    """Return the path in the repository of the document that ``name`` extends; None if it extends none."""
+    """Return the repository path of the document that ``name`` extends, or None if it does not extend one."""
     try:
         written = parse(data.decode("utf-8")).data
     except (YamlError, UnicodeDecodeError):

@@ -12,11 +12,11 @@ from typing import Any
 Path_ = tuple[str, ...]
 
 CONFLICTS = "conflicts"
-"""Key of the open conflicts of a document."""
+"""Key that contains the unresolved conflicts of a document."""
 
 
 class Absent(Enum):
-    """Marker for a value that is missing on a side; ``null`` counts as a value."""
+    """Marker for a value that is missing on one side; ``null`` is a value and not missing."""
 
     ABSENT = "absent"
 
@@ -26,16 +26,16 @@ ABSENT = Absent.ABSENT
 _PART = re.compile(r'"(?:[^"\\]|\\.)*"|[^."]+')
 _AGAIN = re.compile(r" #[0-9]+\Z")
 _SHOWN = 60
-"""Longest value in a message [characters]; both sides and their path fit into 160 columns."""
+"""Maximum length of a value in a message [characters], so that both sides and the path fit into 160 columns."""
 
 
 @dataclass(frozen=True)
 class MergeConflict:
     """Conflicting edits of the value at ``path``: plain data, or :data:`ABSENT`.
 
-    If the value is an ordered mapping, the three values may be lists of its keys, and only their order is in conflict.
-    If the three values are names and ``path`` is the member named ``base``, both sides renamed it. The ``comment`` that
-    theirs has beside its value is kept beside the entry.
+    If the value is an ordered mapping, the three values may be lists of its keys, in which case only the order of the
+    keys conflicts. If the three values are names and ``path`` refers to the member named ``base``, both sides renamed
+    that member. ``comment`` is the comment beside their value, which is kept beside the entry.
     """
 
     path: Path_
@@ -56,7 +56,7 @@ class MergeConflict:
 
 
 def dotted(path: Path_) -> str:
-    """Format a path as a key of ``conflicts``; parts with a dot or a quote are put in double quotes."""
+    """Format a path as a key of ``conflicts``; parts that contain a dot or a quote are enclosed in double quotes."""
     return ".".join(json.dumps(p, ensure_ascii=False) if not p or "." in p or '"' in p else p for p in path)
 
 
@@ -75,7 +75,7 @@ def numbered(path: str, taken: dict[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Format a value as one short line."""
+    """Format a value as a single short line."""
     if value is ABSENT:
         return "nothing"
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

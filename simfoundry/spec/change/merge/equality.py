@@ -1,4 +1,4 @@
-"""Compare values of documents by meaning; lists of conditions and of pairs are treated as sets."""
+"""Compare document values semantically; lists of conditions and lists of pairs are treated as sets."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
 
 
 def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
-    """Return the items of a list, keyed by meaning; a changed `all` or `any` gets the key of its version in ``base``.
+    """Return the items of a list, keyed by their normalized text.
 
-    The keys of equal items are numbered.
+    A changed `all` or `any` gets the key of its version in ``base``. The keys of equal items are numbered.
     """
     names = _numbered([spelled(item.data) for item in items])
     if base is not None:

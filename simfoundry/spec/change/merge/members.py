@@ -1,4 +1,4 @@
-"""Members of mappings in a merge: renames, groups of keys that are merged as a whole, and order."""
+"""Merge the members of mappings: renames, groups of keys that are merged as a unit, and the order of members."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
 
 
 def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
-    """Return True if some mapping lost a key and gained another; otherwise there is no rename."""
+    """Return True if at least one mapping lost a key and gained another; otherwise, no member was renamed."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
     if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
@@ -159,7 +159,7 @@ def _is_start(model: type[Model], path: Path_) -> bool:
 
 @dataclass(frozen=True)
 class Order:
-    """Merged order of ``keys``; ``clash`` is True if both sides reordered the members of the base differently."""
+    """The merged order of ``keys``; ``clash`` is True if the two sides reordered the base differently."""
 
     keys: list[str]
     clash: bool
@@ -170,9 +170,9 @@ def merged_order(
 ) -> Order:
     """Return the order of the ``kept`` keys, each of which exists on at least one side.
 
-    If one side reorders keys that it shares with the base, its order wins. A key that only one side has follows its
-    predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted by
-    name, so that the result does not depend on which side is which. With ``ours_first``, our order wins if both
+    If one side reorders keys that it shares with the base, its order wins. A key that exists on only one side follows
+    its predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted
+    by name, so that swapping the sides does not change the result. With ``ours_first``, our order wins if both
     reordered.
     """
     core = [key for key in ours if key in theirs and key in kept]
@@ -201,7 +201,7 @@ def merged_order(
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
-    """Return the keys in the order ``wanted``; a key that it does not contain stays after its predecessor."""
+    """Return the keys in the order given by ``wanted``; keys that it does not contain stay after their predecessor."""
     keys = list(keys)
     runs = _runs(keys, [key for key in wanted if key in set(keys)], keys)
     out = runs.get(None, [])

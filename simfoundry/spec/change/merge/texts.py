@@ -22,23 +22,23 @@ from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 
 _UNREADABLE = ("SF002", "SF004", "SF005")
-"""Codes of texts that are not documents."""
+"""Codes of findings which mean that a text is not a document."""
 
 
 class UnmergeableError(SimfoundryError):
-    """Error for texts that are not documents of the same kind and can only be merged line by line."""
+    """Raised if the texts are not documents of the same kind and can only be merged line by line."""
 
 
 @dataclass(frozen=True)
 class MergedText:
-    """Merged document in which the open conflicts are recorded."""
+    """A merged document in which the unresolved conflicts are recorded."""
 
     text: str
     conflicts: tuple[MergeConflict, ...]
 
 
 def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
-    """Merge three texts by meaning, comments included; ``base`` is empty if both sides added the document.
+    """Merge three texts semantically, including comments; ``base`` is empty if both sides added the document.
 
     If one side already equals the result, its text is returned unchanged; otherwise the result is in canonical form.
     Raises :class:`UnmergeableError` if a text is not a document or the documents are of different kinds.
@@ -56,11 +56,11 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
 
 
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
-    """Return errors of a merged text at ``path`` that neither side has, which means that the edits are incompatible.
+    """Return the errors in a merged text at ``path`` that occur on neither side.
 
-    Open conflicts are excluded. Missing files that the other side adds are not reported, because they are missing for
-    its own text as well. Raises :class:`UnmergeableError` if the merged text cannot be read, for example because it is
-    too large.
+    Such errors mean that the edits are incompatible. Unresolved conflicts are excluded. Missing files
+    that the other side adds are not reported, because they are also missing for that side's text. Raises
+    :class:`UnmergeableError` if the merged text could not be read, for example because it is too large.
     """
     found = _errors(path, merged)
     if not found:
@@ -99,7 +99,7 @@ Side = Literal["ours", "theirs"]
 
 
 class ResolveError(SimfoundryError):
-    """Error for a conflict that is not recorded or whose path no longer exists."""
+    """Raised if a conflict is not recorded or its path no longer exists."""
 
 
 def resolve(
@@ -147,7 +147,7 @@ def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[
 
 
 def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
-    """Yield the entries whose keys exclude the key at ``path``."""
+    """Yield the entries whose keys cannot be combined with the key at ``path``."""
     if path:
         rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
         yield from (key for key in entries if parts(key) in rivals)
@@ -209,7 +209,7 @@ def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
 
 
 def _edited(tree: YamlTree, path: Path_, edit: Callable[[YamlTree], YamlTree]) -> YamlTree:
-    """Return the tree with the value at ``path`` edited, if there is one."""
+    """Return the tree with ``edit`` applied to the value at ``path``, if the value exists."""
     if not path:
         return edit(tree)
     if not isinstance(tree.value, dict) or path[0] not in tree.value:

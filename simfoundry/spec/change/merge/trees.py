@@ -1,9 +1,9 @@
-"""Merge three documents by meaning.
+"""Semantic three-way merge of document trees.
 
-Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals as sets; all other values as a whole.
-Edits of different values never conflict, and equal edits are merged into one. Incompatible edits become a
-:class:`MergeConflict`: the document keeps our value (or the changed value, if the other side removed it) and records
-all three values under ``conflicts``.
+Mappings are merged key by key; ``relations``, ``no_contact`` and lists of goals are merged as sets; all other values
+are merged as a unit. Edits of different values never conflict, and equal edits are merged into one. Incompatible edits
+result in a :class:`MergeConflict`: the document keeps our value (or the changed value, if the other side removed it)
+and records all three values under ``conflicts``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ORDERED = (("subtasks",), ("links",), ("frames",))
 
 @dataclass(frozen=True)
 class Merged:
-    """Merged document in which open conflicts are recorded; ``conflicts`` are those added by this merge."""
+    """A merged document with recorded conflicts; ``conflicts`` are the conflicts added by this merge."""
 
     tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
@@ -73,7 +73,7 @@ def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
 
 @dataclass
 class _Merging:
-    """State of one merge: the model, the members that a side renamed, and the conflicts found so far.
+    """The state of one merge: the model, the renamed members, and the conflicts found so far.
 
     In an ``overlay``, which extends another document, a missing list is inherited from that document.
     """
@@ -86,7 +86,7 @@ class _Merging:
     def value(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge one value; None if it was removed."""
+        """Merge one value; return None if the value was removed."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
         if base is not None and not self.edited and identical(base, theirs):
@@ -105,7 +105,7 @@ class _Merging:
     def one_sided(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge a value that is missing on one side: either added on the other side or removed on this one."""
+        """Merge a value that is missing on one side, because one side either added or removed it."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
@@ -127,7 +127,7 @@ class _Merging:
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
     def whole(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """Take a value as a whole from one side."""
+        """Take the entire value from one side instead of merging its members."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
         taken, other = ours, theirs
@@ -164,7 +164,7 @@ class _Merging:
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
     def conditions(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """Merge a list of conditions as a set; if two edits of one condition conflict, the whole list does."""
+        """Merge a list of conditions as a set; if two edits of a condition conflict, the whole list conflicts."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
         found, merged = len(self.conflicts), dict[str, YamlTree]()
@@ -182,7 +182,7 @@ class _Merging:
     def condition(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """Merge one condition of a list; spacing is ignored."""
+        """Merge one condition in a list, ignoring differences in spacing."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
             return self.value(base, ours, theirs, path)
@@ -214,7 +214,7 @@ class _Merging:
                 self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
 
     def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Keep our value for a name that has a pose on one side and a place on the other at the start of a task."""
+        """Keep our value if a task's ``start`` gives an object a pose on one side and a place on the other."""
         for name in list(named_twice(self.model, path, merged)):
             for key in ("place", "pose"):
                 inner = dict(merged[key].value)
@@ -258,7 +258,7 @@ def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: Yam
 
 
 def united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
-    """Return ``ours``, whose data equals ``theirs``, with the comments of both at every level."""
+    """Return ``ours`` with the comments of both sides at every level; the data of both sides must be equal."""
     value = ours.value
     if isinstance(value, dict):
         value = {key: _united(base, child, theirs, key) for key, child in value.items()}
@@ -280,7 +280,7 @@ def rescued(tree: YamlTree, base: YamlTree | None, other: YamlTree) -> YamlTree:
 
 
 def _changed(base: str, ours: str, theirs: str) -> str | None:
-    """Return the comment of the side that changed it; None if both changed it differently."""
+    """Return the comment from the side that changed it, or None if the two sides changed it differently."""
     if ours == theirs or theirs == base:
         return ours
     return theirs if ours == base else None
