@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
+# The module that defines each public name.
 _MODULES = {
     "Build": "api.build",
     "Evaluation": "api.evaluation",
@@ -34,7 +35,6 @@ _MODULES = {
     "load": "api.scenes",
     "load_task": "api.tasks",
 }
-"""The module that defines each public name."""
 
 __all__ = [*_MODULES, "__version__"]
 

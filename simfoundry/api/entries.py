@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 Got = TypeVar("Got")
 Given = TypeVar("Given", contravariant=True)
 
+# A path in the data of a document, such as ``("objects", "mug")``.
 DataPath = tuple[str, ...]
-"""A path in the data of a document, such as ``("objects", "mug")``."""
 
 
 class UnknownNameError(SimfoundryError, KeyError):

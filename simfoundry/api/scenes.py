@@ -28,8 +28,8 @@ Quaternion = tuple[float, float, float, float]
 ShapeSpec = (
     base.BoxShape | base.SphereShape | base.CylinderShape | base.CapsuleShape | base.PrismShape | base.LatheShape
 )
+# A mapping of fields as in the YAML file, such as ``{"box": [0.1, 0.1, 0.1]}``.
 Values = Mapping[str, object]
-"""A mapping of fields as in the YAML file, such as ``{"box": [0.1, 0.1, 0.1]}``."""
 
 Text = ValueField[str | None, str | None]
 Names = ValueField[tuple[str, ...], Sequence[str] | None]

@@ -14,14 +14,14 @@ from pathlib import Path
 
 from simfoundry.runtime.files import write_atomically
 
+# Maximum cache size [bytes]; enough for the convex parts of about ten thousand meshes.
 MAX_BYTES = 2 * 2**30
-"""Maximum cache size [bytes]; enough for the convex parts of about ten thousand meshes."""
 
+# Number of folders in a cache, one for each value of a key's first two digits. The size limit is split evenly.
 SHELVES = 256
-"""Number of folders in a cache, one for each value of a key's first two digits. The size limit is split evenly."""
 
+# Minimum age [s] of an entry's access time before another read updates it.
 UNREAD_S = 24 * 3600.0
-"""Minimum age [s] of an entry's access time before another read updates it."""
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,14 @@ from simfoundry.runtime.workers import Limits, Worker, WorkerError
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
 
+# Resource limits per mesh; YCB meshes take up to a minute on one core.
 LIMITS = Limits(seconds=300.0, memory=8 * 2**30)
-"""Resource limits per mesh; YCB meshes take up to a minute on one core."""
 
+# The function to call in the subprocess.
 FUNCTION = "simfoundry.assets.convex:run"
-"""The function to call in the subprocess."""
 
+# Maximum number of colliders per mesh; simulation time is proportional to this number.
 MAX_PARTS = 32
-"""Maximum number of colliders per mesh; simulation time is proportional to this number."""
 
 SETTINGS: dict[str, float | int] = {
     # Chosen from 0.05, 0.1 and 0.2 by measurements on YCB. A threshold of 0.1 splits the banana into 3 parts with an
@@ -102,33 +102,30 @@ def run(vertices: Array, faces: Faces) -> list[Any]:
 
 Part = tuple[Array, Faces]
 
+# Maximum number of vertices in a convex hull; PhysX simplifies larger hulls on its own.
 MAX_HULL_VERTICES = 64
-"""Maximum number of vertices in a convex hull; PhysX simplifies larger hulls on its own."""
 
+# Limits for meshes that also collide as their hull although they fill less than ``NEARLY_CONVEX`` of it.
+#
+# The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its
+# concave regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python
+# -m tests.benchmarks.colliders FOLDER`). Cans, bottles and the marker, which a gripper can treat as convex, fill 0.82
+# to 0.96 of their hulls with concave regions of 3 to 6.8 % in depth. Next are the pitcher (0.82, 8.3 %) and the banana
+# (0.65, 18 %), followed by containers and tools (below 0.45, above 10 %).
 SHALLOW_FILL, SHALLOW = 0.80, 0.07
-"""Limits for meshes that also collide as their hull although they fill less than ``NEARLY_CONVEX`` of it.
 
-The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its concave
-regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python -m
-tests.benchmarks.colliders FOLDER`). Cans, bottles and the marker, which a gripper can treat as convex, fill 0.82 to
-0.96 of their hulls with concave regions of 3 to 6.8 % in depth. Next are the pitcher (0.82, 8.3 %) and the banana
-(0.65, 18 %), followed by containers and tools (below 0.45, above 10 %).
-"""
-
+# How much farther from the mesh a primitive may be than the hull, as a fraction of the mesh's longest side.
+#
+# With this margin, a prism with at least 24 sides is replaced with a cylinder, but a prism with 12 sides is not.
 PRIMITIVE_MARGIN = 0.01
-"""How much farther from the mesh a primitive may be than the hull, as a fraction of the mesh's longest side.
 
-With this margin, a prism with at least 24 sides is replaced with a cylinder, but a prism with 12 sides is not.
-"""
-
+# Maximum distance of a primitive from the hull, as a fraction of the mesh's longest side.
+#
+# Primitives farther away are rejected without being compared with the mesh.
 PRIMITIVE_APART = 0.10
-"""Maximum distance of a primitive from the hull, as a fraction of the mesh's longest side.
 
-Primitives farther away are rejected without being compared with the mesh.
-"""
-
+# Minimum number of triangles for which hulls and primitives are cached; computing them then takes about 0.1 s.
 SLOW_FACES = 2000
-"""Minimum number of triangles for which hulls and primitives are cached; computing them then takes about 0.1 s."""
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+# Maximum number of triangles in a mesh; decomposing more takes many minutes, and no simulator needs them.
 MAX_FACES = 2_000_000
-"""Maximum number of triangles in a mesh; decomposing more takes many minutes, and no simulator needs them."""
 
+# Maximum mesh file size [bytes]; two million triangles with textures fit, and larger files can exhaust memory.
 MAX_BYTES = 256 * 2**20
-"""Maximum mesh file size [bytes]; two million triangles with textures fit, and larger files can exhaust memory."""
 
+# Range of plausible sizes [m] for objects on, around or under a table.
 SMALLEST, LARGEST = 0.001, 20.0
-"""Range of plausible sizes [m] for objects on, around or under a table."""
 
+# Minimum volume of a solid [m^3]: a tenth of a cubic millimeter.
 LEAST_VOLUME = 1e-10
-"""Minimum volume of a solid [m^3]: a tenth of a cubic millimeter."""
 
 
 class MeshError(Exception):

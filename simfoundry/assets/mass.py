@@ -68,8 +68,8 @@ def capsule(radius: float, height: float) -> SolidMoments:
     )
 
 
+# Gauss-Legendre nodes and weights on [-1, 1]; three nodes integrate polynomials up to degree 5 exactly.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Gauss-Legendre nodes and weights on [-1, 1]; three nodes integrate polynomials up to degree 5 exactly."""
 
 
 def revolution(profile: Array) -> SolidMoments:

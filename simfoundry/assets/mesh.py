@@ -19,14 +19,13 @@ from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausibl
 
 Array = NDArray[np.float64]
 
+# Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
+#
+# The links of a model usually share a few textures, and encoding a texture as PNG takes half a second.
 MAX_ENCODED = 4
-"""Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
 
-The links of a model usually share a few textures, and encoding a texture as PNG takes half a second.
-"""
-
+# Maximum number of pixels in a texture; larger textures take a GiB and a minute, and no simulator renders them.
 MAX_PIXELS = 8192**2
-"""Maximum number of pixels in a texture; larger textures take a GiB and a minute, and no simulator renders them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,17 +201,17 @@ def open_edges(faces: NDArray[np.int32]) -> int:
     return int(np.abs(count).sum() // 2)
 
 
+# Maximum number of points in a mesh; each triangle needs at most three.
 MAX_POINTS = 3 * MAX_FACES
-"""Maximum number of points in a mesh; each triangle needs at most three."""
 
+# Sizes [bytes] of the header of a binary STL (an 80-byte comment and a 4-byte count) and of each triangle.
 STL_HEAD, STL_FACE = 84, 50
-"""Sizes [bytes] of the header of a binary STL (an 80-byte comment and a 4-byte count) and of each triangle."""
 
+# Maximum size of a PLY header [bytes]; splats with all spherical harmonics need 2 kB.
 PLY_HEAD = 100_000
-"""Maximum size of a PLY header [bytes]; splats with all spherical harmonics need 2 kB."""
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\S+)", re.MULTILINE)
+# glTF primitive mode for triangle lists, which is also the default (glTF 2.0, section 3.7.2.1).
 GLB_TRIANGLES = 4
-"""glTF primitive mode for triangle lists, which is also the default (glTF 2.0, section 3.7.2.1)."""
 
 
 def check_counts(path: Path) -> None:

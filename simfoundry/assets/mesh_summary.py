@@ -27,15 +27,15 @@ from simfoundry.assets.errors import (
 if TYPE_CHECKING:
     from simfoundry.assets.mass import SolidMoments
 
+# Minimum fraction of its convex hull's volume that a mesh must fill to count as nearly convex.
 NEARLY_CONVEX = 0.90
-"""Minimum fraction of its convex hull's volume that a mesh must fill to count as nearly convex."""
 
+# Version of the measurements, which is part of the cache key.
 VERSION = "mesh facts 2"
-"""Version of the measurements, which is part of the cache key."""
 
 Vec = tuple[float, float, float]
+# Moments of a solid: its center of mass (x, y, z) followed by its inertia (xx, yy, zz, xy, xz, yz).
 Moments = tuple[float, ...]
-"""Moments of a solid: its center of mass (x, y, z) followed by its inertia (xx, yy, zz, xy, xz, yz)."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 

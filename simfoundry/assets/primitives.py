@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 Kind = Literal["box", "cylinder", "sphere"]
 KINDS: tuple[Kind, ...] = ("box", "cylinder", "sphere")
 
+# Number of directions in which two convex bodies are compared; neighboring directions are 2.6 degrees apart.
 DIRECTIONS = 2000
-"""Number of directions in which two convex bodies are compared; neighboring directions are 2.6 degrees apart."""
 
 
 @dataclass(frozen=True, eq=False)

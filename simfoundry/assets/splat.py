@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
 
+# Maximum number of Gaussians in a splat; each takes 250 bytes in memory, and a room has about one million.
 MAX_GAUSSIANS = 5_000_000
-"""Maximum number of Gaussians in a splat; each takes 250 bytes in memory, and a room has about one million."""
 
 EXPORT = "export it again from the trainer as a PLY file"
 
@@ -81,8 +81,8 @@ _XYZ = ("x", "y", "z")
 _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+# Total number of coefficients after the first of each channel, for degrees 0 to 3.
 _RESTS = (0, 9, 24, 45)
-"""Total number of coefficients after the first of each channel, for degrees 0 to 3."""
 
 
 def _vertices(path: Path) -> Any:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
     from simfoundry.spec.models.scene import SceneSpec
 
+# Number of bytes at the start of a mesh or material file to search for names; in an OBJ, they precede the vertices.
 MAX_HEAD = 16 * 2**20
-"""Number of bytes at the start of a mesh or material file to search for names; in an OBJ, they precede the vertices."""
 
 _MATERIAL_FILE = re.compile(rb"^\s*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
 _COLOR_MAP = re.compile(rb"^\s*map_Kd[ \t]+(?:-\S+(?:[ \t]+[-+.\d]+)*[ \t]+)*(.+?)\s*$", re.MULTILINE)

@@ -12,12 +12,12 @@ from simfoundry.backends.names import InvalidSceneError
 from simfoundry.runtime.plugins import Registry
 from simfoundry.scene.model import Scene
 
+# All backends by name. An installed package adds a backend through an entry point.
 BACKENDS: Registry[Backend] = Registry(
     "simfoundry.backends",
     {name: f"simfoundry.backends.{name}:BACKEND" for name in ("mjcf", "pybullet", "urdf", "usd")},
     Backend,
 )
-"""All backends by name. An installed package adds a backend through an entry point."""
 
 
 def features_of(name: str) -> Cells:

@@ -51,8 +51,8 @@ def _entry(key: str, value: object) -> str:
     return f"{json_string(key)}: {json_line(value)}"
 
 
+# Encode a string as JSON.
 json_string: Callable[[str], str] = json.encoder.encode_basestring
-"""Encode a string as JSON."""
 
 
 def json_line(value: object) -> str:
@@ -60,10 +60,10 @@ def json_line(value: object) -> str:
     return "".join(_chunks(value, 0))
 
 
+# The encoder that ``json.JSONEncoder(ensure_ascii=False)`` would construct for each call; reusing it is faster.
 _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
     None, None, json_string, None, ": ", ", ", False, False, True
 )
-"""The encoder that ``json.JSONEncoder(ensure_ascii=False)`` would construct for each call; reusing it is faster."""
 
 
 @lru_cache(maxsize=16384)  # a scene contains few distinct numbers, and every target writes the same ones

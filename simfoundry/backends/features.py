@@ -20,14 +20,14 @@ from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
+# A function that returns the names of the scene elements that use a feature; a joint is named ``object.joint``.
 Users = Callable[[Scene], Iterable[str]]
-"""A function that returns the names of the scene elements that use a feature; a joint is named ``object.joint``."""
 
+# The key under which elements that a target preserves exactly are counted.
 _KEPT = "kept"
-"""The key under which elements that a target preserves exactly are counted."""
 
+# The features that are lost when a robot is dropped.
 _OF_ROBOTS = ("robots", "robot_motors", "robot_contacts")
-"""The features that are lost when a robot is dropped."""
 
 
 class Fidelity(StrEnum):
@@ -92,8 +92,8 @@ def read_cells(folder: Path) -> dict[str, SupportCell]:
     return cells | {name: dropped(reason) for name, reason in table["dropped"].items()}
 
 
+# The cell for shapes that collide as convex parts or similar primitives, which lowering chooses for all targets.
 SIMPLIFIED_COLLIDERS = approximated("All targets use the same simplified shapes; the loss report states the deviation.")
-"""The cell for shapes that collide as convex parts or similar primitives, which lowering chooses for all targets."""
 
 
 def _of_objects(label: str, test: Callable[[SceneObject], object], quantity: str, group: str = "object") -> Feature:
@@ -145,6 +145,7 @@ def _splats(scene: Scene) -> list[str]:
     return ["background"] * bool(scene.background and scene.background.splat)
 
 
+# All features by name, in the order in which reports list them.
 FEATURES: dict[str, Feature] = {
     "gravity": Feature("scene", "gravity", lambda s: [s.name]),
     "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
@@ -200,7 +201,6 @@ FEATURES: dict[str, Feature] = {
     "joint_friction": _of_joints("Coulomb joint friction", lambda j: j.friction > 0, "friction"),
     "armature": _of_joints("armature", lambda j: j.armature > 0, "armature"),
 }
-"""All features by name, in the order in which reports list them."""
 
 
 class Size(NamedTuple):

@@ -30,8 +30,8 @@ def check_names(scene: Scene) -> None:
     _SOUND.add(scene)
 
 
+# Scenes whose names have been validated, so that the check is not repeated for every target.
 _SOUND: WeakSet[Scene] = WeakSet()
-"""Scenes whose names have been validated, so that the check is not repeated for every target."""
 
 
 def _check_object(item: SceneObject) -> None:

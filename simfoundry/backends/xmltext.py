@@ -9,8 +9,8 @@ DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 
 _MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
+# The escaped form of each ASCII character. Including unchanged characters makes ``translate`` twice as fast.
 _ESCAPES = [(_MARKUP | _WHITE).get(chr(k), chr(k)) for k in range(128)]
-"""The escaped form of each ASCII character. Including unchanged characters makes ``translate`` twice as fast."""
 
 
 def xml_text(root: ET.Element) -> bytes:

@@ -71,8 +71,8 @@ def _included(found: list[Path], folder: Path) -> list[Path]:
     return [path for path in found if not is_excluded(path)]
 
 
+# Minimum number of documents for which a progress bar is shown on a terminal.
 MANY = 100
-"""Minimum number of documents for which a progress bar is shown on a terminal."""
 
 
 @subcommand()
@@ -113,11 +113,11 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
     return FINDINGS if report.findings else DONE
 
 
+# Documents that this process has read while running the command, by project; shared documents are read only once.
 _known: dict[Path, Known] = {}
-"""Documents that this process has read while running the command, by project; shared documents are read only once."""
 
+# Documents that this process has linted while running the command.
 _linted: set[Path] = set()
-"""Documents that this process has linted while running the command."""
 
 
 def _check(file: Path, lints: bool) -> Checked:

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.run import EvaluationPlan
     from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement, Score
 
+# Maximum number of problems, and of comparisons, printed as sentences; with the table, more would not fit on a screen.
 SENTENCES = 10
-"""Maximum number of problems, and of comparisons, printed as sentences; with the table, more would not fit on a
-screen."""
 
 
 @subcommand("eval")

@@ -15,8 +15,8 @@ from simfoundry.spec.change.git.revisions import GitError, git
 from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
+# File patterns that match documents.
 PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
-"""File patterns that match documents."""
 LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
 
 

@@ -24,6 +24,7 @@ from simfoundry.spec.models.kinds import KINDS
 if TYPE_CHECKING:
     from simfoundry.spec.check.pages import Page
 
+# Next steps for a new document of each kind.
 NEXT = {
     "scene": ("simfoundry check {path}", "simfoundry show {path}"),
     "task": ("simfoundry check {path}",),
@@ -32,7 +33,6 @@ NEXT = {
     "cousins": ("simfoundry check {path}",),
     "policy": ("simfoundry check {path}",),
 }
-"""Next steps for a new document of each kind."""
 
 
 @subcommand()

@@ -46,6 +46,7 @@ COMMANDS = {
     "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
+# Commands by module. Each command that is not listed is defined in a module with the same name.
 MODULES = {
     "capture": ("capture", "demo"),
     "changes": ("diff", "log", "merge"),
@@ -57,7 +58,6 @@ MODULES = {
     "scenes": ("judge", "render", "settle", "show", "synthesize"),
     "verify": ("doctor", "verify"),
 }
-"""Commands by module. Each command that is not listed is defined in a module with the same name."""
 
 
 class _Lazy(click.Group):

@@ -206,8 +206,8 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     return cameras[chosen]
 
 
+# Maximum time without output in a log [s]; after about this long, people start to suspect a hang.
 LINE_S = 10.0
-"""Maximum time without output in a log [s]; after about this long, people start to suspect a hang."""
 
 
 def _line_now_and_then() -> Callable[[str, float], None]:

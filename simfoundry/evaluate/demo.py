@@ -47,38 +47,35 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World, camera_of
 from simfoundry.worlds.rest import center_of_mass
 
+# The robot that the demo uses; this arm does not need to be downloaded.
 ARM = "demo_arm"
-"""The robot that the demo uses; this arm does not need to be downloaded."""
 
+# The distances from the base to the midpoint between object and target, in order of preference, and the minimum
+# clearance between the base and any object [m]. The arm's foot has a radius of 0.09 m, and its elbow needs space beside
+# it.
 NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
-"""The distances from the base to the midpoint between object and target, in order of preference, and the minimum
-clearance between the base and any object [m]. The arm's foot has a radius of 0.09 m, and its elbow needs space beside
-it.
-"""
 
+# The minimum distance from the base for a grasp from above (measured: 0.28 m), and the safety margin on the reach [m].
 NEAREST, MARGIN = 0.30, 0.04
-"""The minimum distance from the base for a grasp from above (measured: 0.28 m), and the safety margin on the reach [m].
-"""
 
+# Directions from the objects to the base, measured from the direction to the camera [deg]. Opposite the camera, the arm
+# does not occlude anything.
 SIDES = (180, 135, -135, 90, -90)
-"""Directions from the objects to the base, measured from the direction to the camera [deg]. Opposite the camera, the
-arm does not occlude anything.
-"""
 
+# The minimum distance [m] between a base on the table and the table's edge.
 EDGE = 0.08
-"""The minimum distance [m] between a base on the table and the table's edge."""
 
+# The maximum number of tasks to try before giving up.
 ATTEMPTS = 3
-"""The maximum number of tasks to try before giving up."""
 
+# The number of images in the strip, and the width and height of each image [px].
 PICTURES, SIZE = 5, (400, 300)
-"""The number of images in the strip, and the width and height of each image [px]."""
 
+# The names of the output files.
 SCENE, TASK, STRIP, REPORT = "arm.scene.yaml", "arm.task.yaml", "strip.png", "report.json"
-"""The names of the output files."""
 
+# The name of the camera that shows the arm performing its task.
 CAMERA = "side"
-"""The name of the camera that shows the arm performing its task."""
 
 
 @dataclass(frozen=True, eq=False)

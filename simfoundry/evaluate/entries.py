@@ -39,8 +39,8 @@ class ReplayChoice:
     path: Path
 
 
+# A selected policy that has not been created yet.
 Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | PythonClass
-"""A selected policy that has not been created yet."""
 
 
 def parse_policy(text: str) -> Choice:

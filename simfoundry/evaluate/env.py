@@ -42,8 +42,8 @@ from simfoundry.scene.state import SceneState
 from simfoundry.worlds import find_world, open_world
 from simfoundry.worlds.base import Image, WorldRobot
 
+# The maximum joint velocity in an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz.
 FASTEST = 3.0
-"""The maximum joint velocity in an action [rad/s or m/s]: DROID's 0.2 rad per step at 15 Hz."""
 
 Observations = dict[str, NDArray[Any]]
 

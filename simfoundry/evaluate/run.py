@@ -28,16 +28,15 @@ from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
+# Number of consecutive rollouts without a response after which a policy's remaining rollouts are skipped. Otherwise, a
+# stopped server would delay each of them by its full `timeout`.
 GIVE_UP = 3
-"""Number of consecutive rollouts without a response after which a policy's remaining rollouts are skipped. Otherwise, a
-stopped server would delay each of them by its full `timeout`.
-"""
 
+# Maximum duration of one rollout [s]; with a slow policy server, simulating one minute takes about ten minutes.
 SILENCE_S = 3600.0
-"""Maximum duration of one rollout [s]; with a slow policy server, simulating one minute takes about ten minutes."""
 
+# Number of control steps between two video frames: five frames per second at 15 Hz.
 FRAME_EVERY = 3
-"""Number of control steps between two video frames: five frames per second at 15 Hz."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +86,8 @@ class RolloutOutcome:
         return str(self.record["reason"]) if self.record["end"] in (RolloutEnd.INVALID, RolloutEnd.NO_ANSWER) else ""
 
 
+# Callback that receives the outcome of each job, the number of finished jobs, and the total number of jobs.
 Seen = Callable[[RolloutOutcome, int, int], None]
-"""Callback that receives the outcome of each job, the number of finished jobs, and the total number of jobs."""
 
 
 def task_key(entry: TaskEntry, task: Task) -> str:
@@ -300,8 +299,8 @@ def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Settin
     return _Setting(task, found, open_world(task.scene, engine), Judge(task.scene))
 
 
+# Policies that are open in this process; connections are kept open as long as possible.
 _open: dict[tuple[TaskEntry | None, str], Policy] = {}
-"""Policies that are open in this process; connections are kept open as long as possible."""
 
 
 def _policy(job: RolloutJob, setting: _Setting) -> Policy:

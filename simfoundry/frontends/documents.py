@@ -32,11 +32,11 @@ from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
+# Number of significant digits in imported numbers: more than any simulator keeps, but without rounding noise.
 DIGITS = 9
-"""Number of significant digits in imported numbers: more than any simulator keeps, but without rounding noise."""
 
+# Positions [m] and quaternion components below these values are rounding noise in double precision.
 NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
-"""Positions [m] and quaternion components below these values are rounding noise in double precision."""
 
 
 @dataclass
@@ -98,11 +98,11 @@ def relative_path(file: Path, document: Path) -> str:
 
 Data = dict[str, Any]
 
+# Contact parameters that a link can set without a material.
 LINK_KEYS = {"friction", "restitution"}
-"""Contact parameters that a link can set without a material."""
 
+# Relative tolerance for treating an inertia as the shape's inertia; files have six or more digits.
 PLAIN_INERTIA = 1e-6
-"""Relative tolerance for treating an inertia as the shape's inertia; files have six or more digits."""
 
 
 def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:

@@ -24,8 +24,8 @@ from simfoundry.spec.models.asset import DriveSpec
 from simfoundry.spec.models.base import WORLD, BoxShape, CapsuleShape, CylinderShape, SphereShape
 from simfoundry.spec.models.robot import RobotSpec
 
+# Maximum length of a name in documents [characters].
 LONGEST = 64
-"""Maximum length of a name in documents [characters]."""
 
 
 def plain_name(text: str, otherwise: str = "thing") -> str:
@@ -63,25 +63,23 @@ class NameTable:
         return name
 
 
+# Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision.
 UNLIMITED_SLIDE_M = 1000.0
-"""Limit [m] for sliding joints that have no limits: far beyond any table, but small enough for single precision."""
 
+# Size [m] of the box that represents an infinite plane.
+#
+# Its width and depth are the maximum allowed in documents, and it is thick enough to prevent tunneling.
 GROUND = (20.0, 20.0, 0.1)
-"""Size [m] of the box that represents an infinite plane.
-
-Its width and depth are the maximum allowed in documents, and it is thick enough to prevent tunneling.
-"""
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
+# The name of a body and the name of one of its links.
 LinkPath = tuple[str, str]
-"""The name of a body and the name of one of its links."""
 
+# Contact parameters that a file specifies, by material key.
+#
+# The keys are ``friction``, ``restitution``, ``torsional_friction`` [m] and ``rolling_friction`` [m].
 Contact = dict[str, float]
-"""Contact parameters that a file specifies, by material key.
-
-The keys are ``friction``, ``restitution``, ``torsional_friction`` [m] and ``rolling_friction`` [m].
-"""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 
+# Maximum length of a library's error message in our messages [characters]; some libraries print entire arrays.
 LONGEST_MESSAGE = 200
-"""Maximum length of a library's error message in our messages [characters]; some libraries print entire arrays."""
 
+# Maximum size of a file [bytes] that is searched for a line number.
 MAX_BYTES = 50_000_000
-"""Maximum size of a file [bytes] that is searched for a line number."""
 
 
 class ImportRefusedError(SimfoundryError):

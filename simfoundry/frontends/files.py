@@ -20,17 +20,16 @@ from xml.parsers import expat
 
 from simfoundry.frontends.errors import ImportRefusedError
 
+# Maximum file sizes [bytes], which limit memory use.
+#
+# The largest of 2,380 public XML models has 21 MB, and the largest OmniGibson scene has 3 MB.
 MAX_XML_BYTES, MAX_JSON_BYTES = 50_000_000, 100_000_000
-"""Maximum file sizes [bytes], which limit memory use.
 
-The largest of 2,380 public XML models has 21 MB, and the largest OmniGibson scene has 3 MB.
-"""
-
+# Maximum number of elements, which take a second and 200 MB; the largest public model has a tenth of that.
 MAX_ELEMENTS = 500_000
-"""Maximum number of elements, which take a second and 200 MB; the largest public model has a tenth of that."""
 
+# Maximum nesting depth; a kinematic chain in MJCF has one level per body.
 MAX_DEPTH = 200
-"""Maximum nesting depth; a kinematic chain in MJCF has one level per body."""
 
 
 @dataclass(eq=False)
@@ -149,14 +148,14 @@ def _bounded_bytes(path: Path, most: int) -> bytes:
     return data
 
 
+# Maximum size of a referenced file [bytes], which limits memory use; typical meshes and textures are smaller.
 MAX_FILE_BYTES = 500_000_000
-"""Maximum size of a referenced file [bytes], which limits memory use; typical meshes and textures are smaller."""
 
+# Number of parent folders to search for a package; ROS uses share/package/robots/name/urdf.
 LEVELS = 5
-"""Number of parent folders to search for a package; ROS uses share/package/robots/name/urdf."""
 
+# Maximum length of a reference [characters]; file systems allow fewer.
 MAX_REFERENCE = 1000
-"""Maximum length of a reference [characters]; file systems allow fewer."""
 
 _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 

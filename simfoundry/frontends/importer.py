@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 SCENE, ASSET, TASK = ".scene.yaml", ".asset.yaml", ".task.yaml"
 
+# Maximum number of attempts to lower a draft; each failed attempt removes invalid parts, such as flat colliders.
 ATTEMPTS = 3
-"""Maximum number of attempts to lower a draft; each failed attempt removes invalid parts, such as flat colliders."""
 
 
 @dataclass(frozen=True)

@@ -10,35 +10,33 @@ from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPat
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import Array
 
+# Density [kg/m^3] of links without a mass, which is the default in MuJoCo and UsdPhysics.
 WATER_DENSITY = 1000.0
-"""Density [kg/m^3] of links without a mass, which is the default in MuJoCo and UsdPhysics."""
 
+# Radius of gyration [m] above which an inertia is treated as a unit error, because tabletop objects are smaller.
+#
+# MJCF files are exempt: MuJoCo accepts large inertias, and models use them to keep a body from rotating.
 WIDEST_GYRATION = 2.0
-"""Radius of gyration [m] above which an inertia is treated as a unit error, because tabletop objects are smaller.
 
-MJCF files are exempt: MuJoCo accepts large inertias, and models use them to keep a body from rotating.
-"""
-
+# Mass of a link that only connects two joints, relative to the mass it supports; below single precision.
 FEATHER_SHARE = 1e-7
-"""Mass of a link that only connects two joints, relative to the mass it supports; below single precision."""
 
+# Minimum mass [kg] of a link that only connects two joints.
+#
+# MuJoCo rejects bodies with less than 1e-15 kg or kg m^2, and other simulators divide by the mass.
 LIGHTEST_FEATHER = 1e-12
-"""Minimum mass [kg] of a link that only connects two joints.
 
-MuJoCo rejects bodies with less than 1e-15 kg or kg m^2, and other simulators divide by the mass.
-"""
-
+# Minimum moment of inertia [kg m^2] assigned to a link: ten times MuJoCo's minimum.
 LEAST_INERTIA = 1e-14
-"""Minimum moment of inertia [kg m^2] assigned to a link: ten times MuJoCo's minimum."""
 
+# Relative violation of the triangle inequality that is treated as rounding; some files have only two digits.
 ROUNDING = 0.01
-"""Relative violation of the triangle inequality that is treated as rounding; some files have only two digits."""
 
+# Distance of a clamped joint position from the limit, relative to the range; prevents rounding beyond the limit.
 INSIDE_LIMITS = 1e-6
-"""Distance of a clamped joint position from the limit, relative to the range; prevents rounding beyond the limit."""
 
+# Names of root links that represent the world.
 WORLD_NAMES = ("world", "map", "universe")
-"""Names of root links that represent the world."""
 
 
 def repair_masses(draft: ModelDraft, file: str) -> None:

@@ -26,11 +26,11 @@ Scale = tuple[float, float, float]
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")
 
+# Relative tolerance for equal scales, which allows for double-precision rounding.
 EVEN_SCALE = 1e-12
-"""Relative tolerance for equal scales, which allows for double-precision rounding."""
 
+# Start of a line where Bullet's OBJ reader (tiny_obj_loader.cpp) begins a new shape; a bare `g` does not count.
 _GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
-"""Start of a line where Bullet's OBJ reader (tiny_obj_loader.cpp) begins a new shape; a bare `g` does not count."""
 
 
 def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
@@ -243,23 +243,23 @@ def _vertex(word: str, count: int) -> int:
     return index
 
 
+# Rotations from the file's axes to axes with z up, by the file's up axis.
 UP = {
     "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
     "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "Z_UP": np.eye(3),
 }
-"""Rotations from the file's axes to axes with z up, by the file's up axis."""
 
+# Maximum number of nodes to visit; 30 nodes that each instantiate the next one twice expand to a billion nodes.
 MAX_NODES = 10_000
-"""Maximum number of nodes to visit; 30 nodes that each instantiate the next one twice expand to a billion nodes."""
 
+# Number of decimals in coordinates [m]; pycollada uses single precision, with a resolution of 1e-7 at one meter.
 DECIMALS = 8
-"""Number of decimals in coordinates [m]; pycollada uses single precision, with a resolution of 1e-7 at one meter."""
 
 _BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
 
+# Errors to ignore because they concern elements we do not use: animations, cameras, lights and missing images.
 HARMLESS = ("DaeBrokenRefError", "DaeUnsupportedError")
-"""Errors to ignore because they concern elements we do not use: animations, cameras, lights and missing images."""
 
 
 def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPart, ...]:

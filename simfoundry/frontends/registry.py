@@ -18,15 +18,14 @@ if TYPE_CHECKING:
     from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.spec.models.task import TaskSpec
 
+# A function that reads a model file into a draft; raises :class:`ImportRefusedError`.
 ModelReader = Callable[[Path, ImportOptions], ModelDraft]
-"""A function that reads a model file into a draft; raises :class:`ImportRefusedError`."""
 
+# A function that reads a task file.
+#
+# Its arguments are the task file, the scene document, the lowered scene, the path to which the task will be written,
+# and the options.
 TaskReader = Callable[[Path, "SceneSpec", "Scene", Path, ImportOptions], "tuple[TaskSpec, ModelDraft]"]
-"""A function that reads a task file.
-
-Its arguments are the task file, the scene document, the lowered scene, the path to which the task will be written, and
-the options.
-"""
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,12 @@ class Importer:
     accepts: Callable[[Path], bool] = lambda path: True
 
 
+# All importers by name; the first one that accepts a file reads it.
 IMPORTERS: Registry[Importer] = Registry(
     "simfoundry.importers",
     {name: f"simfoundry.frontends.{name}:IMPORTER" for name in ("urdf", "mjcf", "usd", "omnigibson", "bddl")},
     Importer,
 )
-"""All importers by name; the first one that accepts a file reads it."""
 
 
 def deferred(target: str) -> Callable[..., Any]:

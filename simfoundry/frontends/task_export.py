@@ -94,8 +94,8 @@ _BEHAVIOR = {
     "Closed": "open",
 }  # fmt: skip
 _JOINED = {"all": "and", "any": "or", "not": "not"}
+# Predicates that can be omitted: `On` and `In` in the other formats require contact but ignore the gripper.
 _UNSAID = ("Released",)
-"""Predicates that can be omitted: `On` and `In` in the other formats require contact but ignore the gripper."""
 
 
 def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> str:

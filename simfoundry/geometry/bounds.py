@@ -18,14 +18,14 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Box
 
+# Allowance for rounding errors in coordinates of a few meters [m].
 ROUNDING = 1e-9
-"""Allowance for rounding errors in coordinates of a few meters [m]."""
 
+# Maximum total number of edges in two parts for which cross products of edges are tested; a box has twelve edges.
 FEW_EDGES = 24
-"""Maximum total number of edges in two parts for which cross products of edges are tested; a box has twelve edges."""
 
+# Maximum number of steps in Wolfe's algorithm; faces with a hundred corners need about twenty.
 STEPS = 64
-"""Maximum number of steps in Wolfe's algorithm; faces with a hundred corners need about twenty."""
 
 
 class Interval(NamedTuple):
@@ -148,8 +148,8 @@ def _affine(points: Array) -> Array:
     return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0][1:])
 
 
+# Upper bound on single-precision rounding errors [m].
 BOX_ROUNDING = 1e-6
-"""Upper bound on single-precision rounding errors [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Geometry, tessellate
 
+# Number of sides used to approximate round shapes.
 SEGMENTS = 32
-"""Number of sides used to approximate round shapes."""
 
+# Minimum area of a face, relative to the largest face. Smaller faces are ignored because their normals are dominated by
+# rounding errors.
 SLIVER = 1e-9
-"""Minimum area of a face, relative to the largest face. Smaller faces are ignored because their normals are dominated
-by rounding errors."""
 
+# Maximum gap between two parts along a line [m] for the parts to be merged.
 TOGETHER = 1e-3
-"""Maximum gap between two parts along a line [m] for the parts to be merged."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,13 @@ from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Index, Pose, Poses, rotate
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
+# Height by which an object is raised to find contact directions [m]. It is larger than the penetration that engines
+# allow and smaller than the radii of round parts.
 LIFT = 0.001
-"""Height by which an object is raised to find contact directions [m]. It is larger than the penetration that engines
-allow and smaller than the radii of round parts."""
 
+# Distance or penetration [m] below which the direction between two parts is treated as undefined; distances are
+# accurate to 1e-6 m.
 VANISHING = 1e-5
-"""Distance or penetration [m] below which the direction between two parts is treated as undefined; distances are
-accurate to 1e-6 m."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -43,8 +43,8 @@ class Candidates(NamedTuple):
     bound: Array
 
 
+# Shapes, each with its pose in the link frame.
 Shapes = Sequence[tuple[Geometry, Pose]]
-"""Shapes, each with its pose in the link frame."""
 
 
 class Exact:

@@ -22,53 +22,53 @@ import numpy as np
 
 from simfoundry.geometry.crossings import TOGETHER, HalfSpaces, bounds, face_normal, part_spans
 
+# Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
+# faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
+# makes the width at most 0.9 % too large.
 DIRECTIONS = 12
-"""Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
-faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
-makes the width at most 0.9 % too large."""
 
+# Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM.
 PAD = 0.016
-"""Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM."""
 
+# Width of a pad as a fraction of the object's width, for objects narrower than four pads. With it, a standing marker
+# can be grasped by its round side.
 SMALL_SHARE = 0.25
-"""Width of a pad as a fraction of the object's width, for objects narrower than four pads. With it, a standing marker
-can be grasped by its round side."""
 
+# Clearance that a finger needs beside the grasped part [m]: 12 mm for the finger, plus 4 mm on either side for the
+# approach.
 ROOM = 0.020
-"""Clearance that a finger needs beside the grasped part [m]: 12 mm for the finger, plus 4 mm on either side for the
-approach."""
 
+# Minimum and maximum depth of the fingertips below the top of an object [m]. Pads are about 20 mm long and need contact
+# over at least half of their length; at a depth of 40 mm, the palm touches the object. Tall objects are grasped down to
+# half their height.
 SHALLOWEST, FINGER_LENGTH = 0.010, 0.040
-"""Minimum and maximum depth of the fingertips below the top of an object [m]. Pads are about 20 mm long and need
-contact over at least half of their length; at a depth of 40 mm, the palm touches the object. Tall objects are grasped
-down to half their height."""
 
+# Minimum height of the fingertips above the bottom of an object [m], because it usually stands on a surface.
 SOLE = 0.001
-"""Minimum height of the fingertips above the bottom of an object [m], because it usually stands on a surface."""
 
+# Maximum vertical component of the unit normal of an upright face; this is a slope of one millimeter per meter.
 UPRIGHT = 1e-3
-"""Maximum vertical component of the unit normal of an upright face; this is a slope of one millimeter per meter."""
 
+# Maximum depth by which a face may recede over the width of a pad, as a fraction of that width. This corresponds to 14
+# degrees, which is within the friction cone of rubber on any material (a coefficient of at least 0.3).
 UNEVEN = 0.25
-"""Maximum depth by which a face may recede over the width of a pad, as a fraction of that width. This corresponds to
-14 degrees, which is within the friction cone of rubber on any material (a coefficient of at least 0.3)."""
 
+# Minimum cosine between the normal of a pad and the normal of the face that it touches. This corresponds to 26 degrees,
+# the friction cone for a coefficient of 0.5 (rubber pads on dry plastic, glazed ceramic or wood).
 FACING = 0.9
-"""Minimum cosine between the normal of a pad and the normal of the face that it touches. This corresponds to 26
-degrees, the friction cone for a coefficient of 0.5 (rubber pads on dry plastic, glazed ceramic or wood)."""
 
+# Maximum upward component of the mean of the two face normals. Beyond it, the object slips out of the pads if the
+# friction coefficient is below 0.2, as for wet or polished surfaces. On a ball, the pads may be up to 12 degrees above
+# the equator.
 WEDGE = 0.2
-"""Maximum upward component of the mean of the two face normals. Beyond it, the object slips out of the pads if the
-friction coefficient is below 0.2, as for wet or polished surfaces. On a ball, the pads may be up to 12 degrees above
-the equator."""
 
+# Number of lines across a pad, from edge to edge. They are at most 4 mm apart, the thickness of the thinnest usable
+# handle.
 LINES = 5
-"""Number of lines across a pad, from edge to edge. They are at most 4 mm apart, the thickness of the thinnest usable
-handle."""
 
+# Minimum and maximum number of fingertip depths to try, and the spacing between them [m]. With this spacing, two depths
+# hit a bar that is 8 mm thick.
 ROWS, ROW = (8, 24), 0.004
-"""Minimum and maximum number of fingertip depths to try, and the spacing between them [m]. With this spacing, two
-depths hit a bar that is 8 mm thick."""
 
 
 class _Run(NamedTuple):

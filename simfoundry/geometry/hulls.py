@@ -17,14 +17,14 @@ import numpy as np
 from simfoundry.geometry.frames import Array, Index, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
+# Maximum distance [m] by which the corners of a prism protrude from the cylinder that it approximates.
 PROUD = 5e-5
-"""Maximum distance [m] by which the corners of a prism protrude from the cylinder that it approximates."""
 
+# Maximum number of sides of a prism that approximates a cylinder.
 MOST_SIDES = 1024
-"""Maximum number of sides of a prism that approximates a cylinder."""
 
+# Tolerance on the cosine between the normals of adjacent triangles; an edge within this of 1 is ignored as flat.
 FLAT = 1e-12
-"""Tolerance on the cosine between the normals of adjacent triangles; an edge within this of 1 is ignored as flat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +136,8 @@ def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
     )
 
 
+# Corners, triangles, edges that have no adjacent triangles, and radius of a geometry in its own frame.
 Core = tuple[Array, Index, Index, float]
-"""Corners, triangles, edges that have no adjacent triangles, and radius of a geometry in its own frame."""
 
 NO_TRIANGLES, NO_EDGES = np.zeros((0, 3), np.int64), np.zeros((0, 2), np.int64)
 

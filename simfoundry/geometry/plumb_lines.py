@@ -12,17 +12,17 @@ from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Index, Pose, Poses, frozen_array, rotate
 from simfoundry.geometry.shapes import Box
 
+# Maximum distance between a line and a part for the line to hit the part [m]; it covers rounding errors between
+# adjacent parts of one object.
 SEAM = 1e-6
-"""Maximum distance between a line and a part for the line to hit the part [m]; it covers rounding errors between
-adjacent parts of one object."""
 
+# Cosine between a face normal and the up direction below which the face counts as vertical, that is, parallel to the
+# lines.
 STEEP = 1e-9
-"""Cosine between a face normal and the up direction below which the face counts as vertical, that is, parallel to
-the lines."""
 
 
+# Number of edges processed at once, which takes about 100 MB; a round tabletop has hundreds of edges.
 AT_ONCE = 400_000
-"""Number of edges processed at once, which takes about 100 MB; a round tabletop has hundreds of edges."""
 
 
 def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Array, Array]:
@@ -100,9 +100,9 @@ class _Faces(NamedTuple):
     small: NDArray[np.bool_]
 
 
+# Maximum number of faces and edges of a small part. Small parts are processed separately because padding them to the
+# size of the few large parts would be wasteful.
 SMALL_FACES, SMALL_EDGES = 16, 24
-"""Maximum number of faces and edges of a small part. Small parts are processed separately because padding them to the
-size of the few large parts would be wasteful."""
 
 
 @lru_cache(maxsize=256)

@@ -16,11 +16,11 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array, Index, cross
 
+# Distance of the near clipping plane along z [m].
 NEAREST = 1e-4
-"""Distance of the near clipping plane along z [m]."""
 
+# Maximum number of triangle-ray pairs tested at once, which limits memory use.
 _CHUNK = 1_000_000
-"""Maximum number of triangle-ray pairs tested at once, which limits memory use."""
 
 
 @dataclass(frozen=True)

@@ -20,24 +20,24 @@ import numpy as np
 from simfoundry.geometry.frames import Array, Index
 from simfoundry.geometry.hulls import Hulls
 
+# Fraction by which the upper object is narrowed, to prevent an object that fits exactly between two walls from resting
+# on top of them.
 SHRINK = 1e-6
-"""Fraction by which the upper object is narrowed, to prevent an object that fits exactly between two walls from resting
-on top of them."""
 
+# Tolerance beyond the border of a face or the end of an edge, as a fraction of its length.
 NEAR = 1e-9
-"""Tolerance beyond the border of a face or the end of an edge, as a fraction of its length."""
 
+# Minimum z component of the unit normal of a face that can support an object; steeper faces are walls.
 STEEP = 1e-9
-"""Minimum z component of the unit normal of a face that can support an object; steeper faces are walls."""
 
+# Minimum sine of the angle between two crossing edges as seen from above.
 PARALLEL = 1e-12
-"""Minimum sine of the angle between two crossing edges as seen from above."""
 
+# Maximum number of pairs processed at once.
 CHUNK = 1 << 21
-"""Maximum number of pairs processed at once."""
 
+# Part indices in the first and second object, and the heights at which these parts touch.
 Meetings = Iterator[tuple[Index, Index, Array]]
-"""Part indices in the first and second object, and the heights at which these parts touch."""
 
 
 def heights(above: Hulls, below: Hulls) -> Array:
@@ -132,8 +132,8 @@ def _upper(shape: Hulls) -> _Upper:
     )
 
 
+# Cached because many objects are placed on one surface.
 _landing = lru_cache(maxsize=16)(_upper)
-"""Cached because many objects are placed on one surface."""
 
 
 def _pairs(a: _Group, b: _Group, rounded: bool = False) -> Iterator[tuple[Index, Index]]:

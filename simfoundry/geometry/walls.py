@@ -9,24 +9,24 @@ import numpy as np
 from simfoundry.geometry.frames import Array, cross
 from simfoundry.geometry.hulls import Hulls
 
+# Number of horizontal directions in which to look for walls.
 DIRECTIONS = 16
-"""Number of horizontal directions in which to look for walls."""
 
 _ANGLES = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
+# Unit vectors in the horizontal directions, shape (DIRECTIONS, 3).
 LEVEL_RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(DIRECTIONS)])
-"""Unit vectors in the horizontal directions, shape (DIRECTIONS, 3)."""
 
+# Minimum number of :data:`DIRECTIONS` with a wall for a point to count as inside.
 WALLED = 8
-"""Minimum number of :data:`DIRECTIONS` with a wall for a point to count as inside."""
 
+# Height above an object's lowest point at which its base is measured [m].
 FOOT = 5e-4
-"""Height above an object's lowest point at which its base is measured [m]."""
 
+# Heights at which to look for walls, as fractions of the object's height; rails may leave a gap at the base.
 LEVELS = (0.0, 0.25, 0.5)
-"""Heights at which to look for walls, as fractions of the object's height; rails may leave a gap at the base."""
 
+# Height above the floor of a cavity at which its middle is measured, as a fraction of the cavity's depth.
 LOW = 0.25
-"""Height above the floor of a cavity at which its middle is measured, as a fraction of the cavity's depth."""
 
 
 def surrounded(thing: Hulls, container: Hulls) -> bool:

@@ -30,8 +30,8 @@ def _conjuncts(condition: Any, path: Path_) -> Iterator[tuple[Call, Path_]]:
             yield from _conjuncts(item, (*path, tag, k))
 
 
+# Effects of predicates whose values do not depend on the object poses sampled at a reset.
 INDEPENDENT = (Effect.NONE, Effect.JOINT, Effect.GRASP)
-"""Effects of predicates whose values do not depend on the object poses sampled at a reset."""
 
 
 def goals_true_at_start(subject: Subject) -> Iterator[Diagnostic]:

@@ -13,16 +13,16 @@ from simfoundry.scene.lengths import length, number
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import Diagnostic
 
+# Penetration depth [m] that simulators resolve on their own, and that is common for captured objects.
 DEEP = 0.002
-"""Penetration depth [m] that simulators resolve on their own, and that is common for captured objects."""
 
+# Maximum lift that separates two objects, as a multiple of their penetration depth, for the upper object to count as
+# sunk into the lower one from above.
 STEEPEST = 1.5
-"""Maximum lift that separates two objects, as a multiple of their penetration depth, for the upper object to count as
-sunk into the lower one from above."""
 
+# Maximum number of neighboring pairs measured in one scene, which takes seconds. A table with 1,000 objects has a few
+# hundred such pairs. The remaining pairs are measured once the first findings are fixed.
 MOST_PAIRS = 6_000
-"""Maximum number of neighboring pairs measured in one scene, which takes seconds. A table with 1,000 objects has a few
-hundred such pairs. The remaining pairs are measured once the first findings are fixed."""
 
 
 def overlaps(subject: Subject) -> Iterator[Diagnostic]:
@@ -79,15 +79,15 @@ def _overlap_finding(subject: Subject, a: SceneObject, b: SceneObject) -> Diagno
 OVERLAP = Lint("SF410", ("scene/1",), overlaps)
 
 
+# Maximum gap between an object and its support [m]; an object that falls by this much hardly bounces.
 HOVERING = 0.005
-"""Maximum gap between an object and its support [m]; an object that falls by this much hardly bounces."""
 
+# Tolerance for contact [m]: the distance by which the prisms that represent cylinders protrude.
 CLOSE = 5e-5
-"""Tolerance for contact [m]: the distance by which the prisms that represent cylinders protrude."""
 
+# Maximum number of pairs of an object and a possible support measured in one scene, at about a millisecond each. In a
+# wall of a thousand bricks, each brick has eight neighbors.
 MOST_MEASURED = 20_000
-"""Maximum number of pairs of an object and a possible support measured in one scene, at about a millisecond each. In a
-wall of a thousand bricks, each brick has eight neighbors."""
 
 
 def unsupported(subject: Subject) -> Iterator[Diagnostic]:

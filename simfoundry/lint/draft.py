@@ -143,11 +143,11 @@ def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
     yield from work.findings
 
 
+# Predicates that depend only on extents and poses, so that an object's hull gives the same result as its parts.
 HULL_DECIDES = ("LeftOf", "RightOf", "Behind", "InFrontOf", "NextTo", "At", "Upright", "Open", "Closed")
-"""Predicates that depend only on extents and poses, so that an object's hull gives the same result as its parts."""
 
+# Predicates on two objects that are always false if the hulls of the objects do not touch.
 NEEDS_TOUCH = ("OnTop", "Inside", "Touching")
-"""Predicates on two objects that are always false if the hulls of the objects do not touch."""
 
 
 class StartJudge:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 Path_ = tuple[str | int, ...]
 
+# Maximum number of findings per lint shown for one document; further findings appear once these are fixed.
 MOST = 200
-"""Maximum number of findings per lint shown for one document; further findings appear once these are fixed."""
 
 
 def warning(loaded: Loaded, code: str, path: Path_, message: str, hint: str, about: tuple[str, ...] = ()) -> Diagnostic:
@@ -90,6 +90,7 @@ class Subject:
         return pending(self)
 
 
+# Lints by name, in the order in which they run.
 LINTS = Registry(
     "simfoundry.lints",
     {
@@ -105,7 +106,6 @@ LINTS = Registry(
     },
     Lint,
 )
-"""Lints by name, in the order in which they run."""
 
 
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:

@@ -18,8 +18,8 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.predicate import Call, Effect
 from simfoundry.spec.models.robot import RobotSpec
 
+# Amount by which an object may be wider than the gripper opening [m], because openings are rounded to millimeters.
 SLACK = 0.001
-"""Amount by which an object may be wider than the gripper opening [m], because openings are rounded to millimeters."""
 
 
 def too_wide(subject: Subject) -> Iterator[Diagnostic]:

@@ -37,10 +37,9 @@ TOUCHING = Predicate(
 )
 
 
+# Conversion from the cosine of the support angle to a margin [m]. The result is comparable to the other margins of
+# objects at rest, which are a few millimeters.
 STEEP_SCALE = 0.01
-"""Conversion from the cosine of the support angle to a margin [m]. The result is comparable to the other margins of
-objects at rest, which are a few millimeters.
-"""
 
 
 def on_top(terms: Terms, a: Entity, b: Entity) -> None:

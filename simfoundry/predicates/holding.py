@@ -41,10 +41,9 @@ GRASPED = Predicate(
 )
 
 
+# Minimum rise [m] above the initial height, which is well above the rise of a pushed or tilted object and below that of
+# a short lift.
 RISE = 0.02
-"""Minimum rise [m] above the initial height, which is well above the rise of a pushed or tilted object and below that
-of a short lift.
-"""
 
 
 def lifted(terms: Terms, a: Entity) -> None:

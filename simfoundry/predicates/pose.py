@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.bodies import Entity, Joints
     from simfoundry.predicates.judging.judge import Terms
 
+# Maximum distance [m] from the point, which is about half the width of an object that a gripper can grasp.
 AT_DISTANCE = 0.02
-"""Maximum distance [m] from the point, which is about half the width of an object that a gripper can grasp."""
 
 
 def at(terms: Terms, a: Entity, *point: float) -> None:
@@ -36,8 +36,8 @@ AT = Predicate(
 )
 
 
+# Maximum tilt [deg]; after settling, upright objects tilt less than this, and fallen objects far more.
 UPRIGHT_DEG = 10.0
-"""Maximum tilt [deg]; after settling, upright objects tilt less than this, and fallen objects far more."""
 
 
 def upright(terms: Terms, a: Entity) -> None:
@@ -60,9 +60,8 @@ UPRIGHT = Predicate(
 )
 
 
+# Fraction of a joint's range, measured from the closed end, beyond which the joint counts as open (as in OmniGibson).
 OPEN_SHARE = 0.10
-"""Fraction of a joint's range, measured from the closed end, beyond which the joint counts as open (as in OmniGibson).
-"""
 
 
 def _opening(closed: bool, terms: Terms, joints: Joints) -> None:

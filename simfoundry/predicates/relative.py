@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.judge import Terms
     from simfoundry.predicates.judging.view import View
 
+# The axis of the viewer's frame (0 points away, 1 points left) and the direction along it.
 AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
-"""The axis of the viewer's frame (0 points away, 1 points left) and the direction along it."""
 
 
 def viewer_axis(viewer: Pose | None, column: int) -> Array:
@@ -27,8 +27,8 @@ def viewer_axis(viewer: Pose | None, column: int) -> Array:
     return away if column == 0 else np.cross([0.0, 0.0, 1.0], away)
 
 
+# Length of the horizontal component of the unit viewing direction below which the viewer looks straight up or down.
 LEVEL = 1e-6
-"""Length of the horizontal component of the unit viewing direction below which the viewer looks straight up or down."""
 
 
 def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
@@ -70,8 +70,8 @@ IN_FRONT_OF = _side("InFrontOf", "in_front_of", "the first object is closer to t
 BEHIND = _side("Behind", "behind", "the first object is farther from the viewpoint than the second")
 
 
+# Maximum horizontal gap as a fraction of the sum of the mean extents (as in OmniGibson).
 NEAR_SHARE = 1 / 6
-"""Maximum horizontal gap as a fraction of the sum of the mean extents (as in OmniGibson)."""
 
 
 def next_to(terms: Terms, a: Entity, b: Entity) -> None:

@@ -24,21 +24,21 @@ from simfoundry.scene.robot import Gripper, Robot, mujoco_model
 if TYPE_CHECKING:
     import mujoco
 
+# Number of gripper positions at which the fingers are measured.
 SHARES = 21
-"""Number of gripper positions at which the fingers are measured."""
 
+# Spacing of the rays along the hand, and maximum distance of a ray from the hand frame [m].
 STEP, DEEPEST = 0.001, 0.3
-"""Spacing of the rays along the hand, and maximum distance of a ray from the hand frame [m]."""
 
+# Distance beyond which a ray hit is not a finger [m].
 WIDEST = 0.12
-"""Distance beyond which a ray hit is not a finger [m]."""
 
+# The pads cover the depths at which the gap exceeds its minimum by at most this distance [m].
 PAD = 0.002
-"""The pads cover the depths at which the gap exceeds its minimum by at most this distance [m]."""
 
 HIDDEN = 5
+# The geom group that rays ignore, and a mask of the groups that they can hit, which contain moving collision geoms.
 FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-"""The geom group that rays ignore, and a mask of the groups that they can hit, which contain moving collision geoms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +145,21 @@ def _free(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose, z: float) -> f
     return float(sum(sides))
 
 
+# Position tolerance of a solution [m].
 NEAR = 5e-4
-"""Position tolerance of a solution [m]."""
 
+# Orientation tolerance of a solution [rad].
 TURNED = 4e-3
-"""Orientation tolerance of a solution [rad]."""
 
 ITERATIONS = 40
+# Margin between solutions and the joint limits [rad or m].
 SLACK = 0.02
-"""Margin between solutions and the joint limits [rad or m]."""
 
+# Number of iterations without progress after which a solve is aborted.
 STUCK = 4
-"""Number of iterations without progress after which a solve is aborted."""
 
+# Number of additional random initial configurations to try.
 SEEDS = 3
-"""Number of additional random initial configurations to try."""
 
 
 class Arm:

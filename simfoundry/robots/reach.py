@@ -20,27 +20,25 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.robot import RobotSpec
 
+# Distance over which the hand approaches its grasp [m].
 OVER = 0.10
-"""Distance over which the hand approaches its grasp [m]."""
 
+# Number of hand rotations about z to try.
 YAWS = 6
-"""Number of hand rotations about z to try."""
 
+# Depth of the fingertips below the surface of the object that faces the hand [m]; at most the depth of the object's
+# center.
 DEEP = 0.03
-"""Depth of the fingertips below the surface of the object that faces the hand [m]; at most the depth of the object's
-center.
-"""
 
 UP = (0.0, 0.0, 1.0)
 
 
+# Payload assumed for robots without published data [kg]; light desktop arms lift 0.5 to 1.5 kg.
 PAYLOAD = 1.0
-"""Payload assumed for robots without published data [kg]; light desktop arms lift 0.5 to 1.5 kg."""
 
+# Distance beyond the published reach up to which inverse kinematics is still tried [m], because grasps are on the near
+# side of an object.
 BEYOND = 0.1
-"""Distance beyond the published reach up to which inverse kinematics is still tried [m], because grasps are on the near
-side of an object.
-"""
 
 
 class Hand(NamedTuple):

@@ -37,15 +37,15 @@ if TYPE_CHECKING:
     from simfoundry.scene.mesh_bodies import MeshBody
 
 GRAY = (0.7, 0.7, 0.7, 1.0)
+# Density [kg/m^3] of a piece without a density, which is allowed if its body is fixed or has a specified mass.
 USUAL_DENSITY = 1000.0
-"""Density [kg/m^3] of a piece without a density, which is allowed if its body is fixed or has a specified mass."""
 
+# Minimum mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body.
 LEAST_MASS = LEAST_MOMENT = 1e-15
-"""Minimum mass [kg] and inertia [kg m^2] that MuJoCo accepts for a moving body."""
 
 
+# Indices of the entries of an inertia matrix in a document's order: xx, yy, zz, xy, xz, yz.
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]
-"""Indices of the entries of an inertia matrix in a document's order: xx, yy, zz, xy, xz, yz."""
 
 
 class MeshUse(NamedTuple):
@@ -233,8 +233,8 @@ def _check_inertia(link: Link) -> float:
 
 ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
+# Version of the convex decomposition of lathes and prisms; part of the cache key.
 CUT_VERSION = "cut shape 1"
-"""Version of the convex decomposition of lathes and prisms; part of the cache key."""
 
 
 class ShapeBody(NamedTuple):
@@ -280,8 +280,8 @@ def shape_body(shape: ShapeSpec, cache: Cache | None = None) -> ShapeBody:
     return ShapeBody(geometry, solid, (geometry,))
 
 
+# A checked outline or profile, the convex parts of its solid, and their maximum distance from it [m].
 _Cut = tuple[Array, tuple[Geometry, ...], float]
-"""A checked outline or profile, the convex parts of its solid, and their maximum distance from it [m]."""
 
 
 def _cut(shape: PrismShape | LatheShape, cache: Cache | None) -> _Cut:

@@ -137,8 +137,8 @@ def effective_inertias(tree: Tree) -> dict[str, float]:
     return {j.name: float(v) for j, v in zip(joints, felt, strict=True) if j is not None and j.has_axis}
 
 
+# A degree of freedom: its joint (None for the free root), a point on its axis, the axis, and True if it slides.
 _Column = tuple[Joint | None, Array, Array, bool]
-"""A degree of freedom: its joint (None for the free root), a point on its axis, the axis, and True if it slides."""
 
 
 def _columns(tree: Tree) -> list[_Column]:

@@ -20,15 +20,15 @@ from simfoundry.scene.model import Collider, Link, SceneObject
 from simfoundry.scene.place import PlaceError, approach, misfit
 from simfoundry.spec.models.scene import Place
 
+# Number of surface points at which vertical lines are tested; one every few millimeters on a hand-sized mesh.
 POINTS = 600
-"""Number of surface points at which vertical lines are tested; one every few millimeters on a hand-sized mesh."""
 
+# Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square.
 GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
-"""Steps of the R2 sequence: powers of the inverse plastic number, which distribute points evenly over a square."""
 
+# Maximum depth of hollows that a decomposition may fill, as a fraction of the longest side: CoACD splits only hollows
+# deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`).
 RESOLUTION = 0.02
-"""Maximum depth of hollows that a decomposition may fill, as a fraction of the longest side: CoACD splits only hollows
-deeper than 5 % of half that side (`threshold` in :mod:`simfoundry.assets.convex`)."""
 
 
 def uncut(item: SceneObject) -> SceneObject:

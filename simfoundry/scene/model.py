@@ -125,8 +125,8 @@ class Drive:
     force_limit: float | None = None
 
 
+# The name of a joint limit.
 ClosedEnd = Literal["lower", "upper"]
-"""The name of a joint limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +266,8 @@ class Light:
     X_WL: Pose
 
 
+# 3D Gaussians, exported here because backends may import the scene package but not the assets package.
 Splat = Gaussians
-"""3D Gaussians, exported here because backends may import the scene package but not the assets package."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,8 @@ from simfoundry.spec.models.scene import (
     variant_of,
 )
 
+# Callback that receives a name, the number of finished objects, and the total number of objects.
 Progress = Callable[[str, int, int], None]
-"""Callback that receives a name, the number of finished objects, and the total number of objects."""
 
 
 @dataclass

@@ -23,20 +23,20 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.models.scene import Place
 
+# Height of a placed object above its support [m], which prevents interpenetration.
 CLEARANCE = 1e-4
-"""Height of a placed object above its support [m], which prevents interpenetration."""
 
+# Number of decimals of a solved position [m], chosen to hide platform-dependent rounding errors.
 DIGITS = 6
-"""Number of decimals of a solved position [m], chosen to hide platform-dependent rounding errors."""
 
 LEFT_RIGHT, FRONT_BEHIND = 1, 0
+# The axis of the viewer's frame (0 away, 1 left) that each keyword constrains, and the side of the anchor along it.
 RELATIONS = {
     "left_of": (LEFT_RIGHT, 1),
     "right_of": (LEFT_RIGHT, -1),
     "behind": (FRONT_BEHIND, 1),
     "in_front_of": (FRONT_BEHIND, -1),
 }
-"""The axis of the viewer's frame (0 away, 1 left) that each keyword constrains, and the side of the anchor along it."""
 
 
 class PlaceError(Exception):
@@ -146,8 +146,8 @@ def seen_by_camera(X_WC: Pose) -> Pose:
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
 
 
+# Cache of the parts of placed objects, because many objects may be placed on the same surface.
 _standing = lru_cache(maxsize=16)(hulls)
-"""Cache of the parts of placed objects, because many objects may be placed on the same surface."""
 
 
 def _carrier_name(place: Place) -> str | None:

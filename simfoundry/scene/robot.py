@@ -95,8 +95,8 @@ class NativeModel:
         return self.links.get(name) or LinkFrame(name)
 
 
+# The kind of a robot that a document defines only by its files.
 FILES_ONLY = "robot"
-"""The kind of a robot that a document defines only by its files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +133,8 @@ def mujoco_model(robot: Robot) -> NativeModel | None:
 
 
 _ROBOTS: WeakValueDictionary[tuple[object, ...], Robot] = WeakValueDictionary()
+# Robots in use, keyed by content: the scenes in a batch share a robot and the data that backends have read from it.
 _MODELS: WeakValueDictionary[tuple[object, ...], NativeModel] = WeakValueDictionary()
-"""Robots in use, keyed by content: the scenes in a batch share a robot and the data that backends have read from it."""
 
 _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
 

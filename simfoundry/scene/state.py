@@ -92,11 +92,11 @@ def _moved(joint: Joint, to: float | Pose | None) -> Joint:
     return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)
 
 
+# Maximum tilt of a body that is written as upright; it moves the rim of a 20 cm plate by less than 0.1 mm.
 UPRIGHT_DEG = 0.05
-"""Maximum tilt of a body that is written as upright; it moves the rim of a 20 cm plate by less than 0.1 mm."""
 
+# Maximum motion at which a joint keeps the position in the document [rad or m].
 STILL = 1e-4
-"""Maximum motion at which a joint keeps the position in the document [rad or m]."""
 
 
 def pose(spec: PoseSpec) -> Pose:

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+# Maximum displayed length of a source line [columns], which is the width of a wide terminal.
 SHOWN = 160
-"""Maximum displayed length of a source line [columns], which is the width of a wide terminal."""
 
 
 class Severity(StrEnum):
@@ -124,8 +124,8 @@ def render(diagnostics: Iterable[Diagnostic], color: bool = False, texts: Mappin
     return "\n".join(blocks)
 
 
+# Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue.
 _STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
-"""Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue."""
 
 
 def printable(line: str) -> str:

@@ -14,8 +14,8 @@ from simfoundry.spec.yaml.text import Document
 MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 ASSET_SUFFIX = ".asset.yaml"
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+# Maximum length of a file reference [characters]; well below Linux's 4096, to leave room for the project folder.
 MAX_PATH = 512
-"""Maximum length of a file reference [characters]; well below Linux's 4096, to leave room for the project folder."""
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
 _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")

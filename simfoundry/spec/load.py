@@ -18,16 +18,15 @@ from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse, read
 
+# Documents read so far by resolved path and requested kind, so that each document is read only once.
 Known = dict[tuple[str, str], Loaded | None]
-"""Documents read so far by resolved path and requested kind, so that each document is read only once."""
 
+# Functions that read documents from files other than YAML, by suffix.
+#
+# The functions belong to a higher layer, so they are specified by name and imported on first use.
 _OTHER_FORMATS = dict.fromkeys(
     (".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled.loading:load_usd"
 )
-"""Functions that read documents from files other than YAML, by suffix.
-
-The functions belong to a higher layer, so they are specified by name and imported on first use.
-"""
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
@@ -126,8 +125,8 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     return None, document.finding("SF006", ("simfoundry",), message, hint)
 
 
+# Maximum number of documents in a chain of `extends`, which limits the work for malicious input.
 MAX_BASES = 16
-"""Maximum number of documents in a chain of `extends`, which limits the work for malicious input."""
 
 
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:

@@ -18,12 +18,12 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read
 
+# File that marks the root folder of a project; it may be empty.
 MARKER = "simfoundry.yaml"
-"""File that marks the root folder of a project; it may be empty."""
 
 
+# Content of a new marker file.
 MARKING = "# Root of a SimFoundry project, which contains all files that its documents refer to.\n"
-"""Content of a new marker file."""
 
 
 class ProjectSpec(Model):

@@ -13,11 +13,11 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 
+# Maximum time without a progress report from a worker [s]; the slowest measured decomposition took 300 s.
 SILENCE_S = 900.0
-"""Maximum time without a progress report from a worker [s]; the slowest measured decomposition took 300 s."""
 
+# The function that the workers call.
 FUNCTION = "simfoundry.targets.batch:compile_job"
-"""The function that the workers call."""
 
 COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 

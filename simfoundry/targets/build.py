@@ -20,17 +20,17 @@ from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target
 
+# The default targets of a build, which are the plain backends.
 TARGETS = tuple(sorted(BACKENDS.names()))
-"""The default targets of a build, which are the plain backends."""
 
+# The loss report in the build folder; see :func:`simfoundry.targets.build.report`.
 LOSSES = "loss.json"
-"""The loss report in the build folder; see :func:`simfoundry.targets.build.report`."""
 
+# The record of a build's inputs in the build folder; see :mod:`simfoundry.targets.inputs`.
 RECORD = "build.json"
-"""The record of a build's inputs in the build folder; see :mod:`simfoundry.targets.inputs`."""
 
+# The file in a target's folder that contains the hashes of its files.
 MANIFEST = "manifest.json"
-"""The file in a target's folder that contains the hashes of its files."""
 
 
 class TargetsError(SimfoundryError):

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from simfoundry.targets.profile import TargetSpec
 
 GROUP = "simfoundry.targets"
+# The standard file names in a target's folder.
 PROFILE, LOADER, READBACK = "profile.yaml", "load.py", "readback.py"
-"""The standard file names in a target's folder."""
 
 SUFFIXES = (".yaml", ".yml")
 

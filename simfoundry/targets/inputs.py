@@ -25,11 +25,11 @@ from simfoundry.spec.models.scene import SceneSpec, variant_names, variant_of
 from simfoundry.spec.yaml.write import to_data
 from simfoundry.targets.find import Target
 
+# The libraries that affect the content of the files.
 LIBRARIES = (
     *("coacd", "fast-simplification", "mapbox-earcut", "mujoco", "numpy"),
     *("pillow", "scipy", "shapely", "trimesh", "usd-core"),
 )
-"""The libraries that affect the content of the files."""
 
 _PACKAGE = Path(simfoundry.__file__).parent
 

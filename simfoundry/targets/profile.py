@@ -13,21 +13,21 @@ Combine = Literal["average", "harmonic", "maximum", "minimum", "multiply"]
 EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)]
 PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
 
+# The key of the tolerance for quantities that do not have their own tolerance.
 READ_BACK = "read_back"
-"""The key of the tolerance for quantities that do not have their own tolerance."""
 
+# The quantities that `simfoundry verify` reads back.
 QUANTITIES = (
     *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
     *("friction", "restitution", "torsional_friction", "rolling_friction"),
     *("axis", "limits", "damping", "joint_friction", "armature", "joint_position", "law", "drive", "effort"),
 )
-"""The quantities that `simfoundry verify` reads back."""
 
+# The behaviors that `simfoundry verify` measures.
 BEHAVIORS = (
     *("free_fall", "slip_angle", "period", "decay", "restitution", "limit", "friction_holds", "friction_slips"),
     *("damped_friction", "drive", "mimic", "no_contact", "settled_mm", "settled_deg"),
 )
-"""The behaviors that `simfoundry verify` measures."""
 
 
 class Gap(Model):

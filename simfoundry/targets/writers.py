@@ -158,9 +158,9 @@ def _object(item: SceneObject) -> dict[str, object]:
     }
 
 
+# The writers that a profile can request under ``writes``.
 WRITERS: dict[str, Writer] = {
     "objects": objects_file,
     "environment": environment_file,
     "omnigibson": omnigibson_files,
 }
-"""The writers that a profile can request under ``writes``."""

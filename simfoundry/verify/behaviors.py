@@ -48,11 +48,11 @@ class Behavior:
     measure: Callable[[], Measurement]
 
 
+# Friction coefficients for which any other combination rule changes the slip angle by at least 2.5 degrees.
 MU_BOX, MU_RAMP = 0.3, 0.8
-"""Friction coefficients for which any other combination rule changes the slip angle by at least 2.5 degrees."""
 _SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
+# Minimum distance that a slipping box moves in one second [m], which it reaches 0.1 degrees above the slip angle.
 _SLID_M = 0.01
-"""Minimum distance that a slipping box moves in one second [m], which it reaches 0.1 degrees above the slip angle."""
 
 _SWING = 0.1  # rad, small enough for the series expansion of the period below to be accurate to 1e-6
 _INERTIA, _TORQUE = rigs.pendulum_constants()
@@ -207,8 +207,8 @@ def passes_through() -> Measurement:
     return float((fallen["ghost"] - fallen["held"]) / (rigs.GRAVITY * last.time**2 / 2))
 
 
+# Heights [m] of the object frames in :func:`settled_position` and :func:`settled_rotation` at rest on the floor.
 _RESTING = {"crate": 0.03, "can": 0.05, "slab": 0.01, "wedge": 0.0}
-"""Heights [m] of the object frames in :func:`settled_position` and :func:`settled_rotation` at rest on the floor."""
 
 
 def _dropped() -> Scene:

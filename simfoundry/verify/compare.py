@@ -31,28 +31,29 @@ from simfoundry.verify.readback import (
     pose_of,
 )
 
+# Magnitudes in SI units below which errors are absolute; smaller values do not matter in a tabletop scene.
 FLOORS = dict.fromkeys(("position", "rotation", "gravity", "axis", "limits", "law", "drive", "effort"), 1.0) | {
     **{"mass": 1e-3, "com": 0.01, "inertia": 1e-9, "bounds": 0.1, "friction": 0.1, "restitution": 0.1},
     **{"torsional_friction": 1e-3, "rolling_friction": 1e-3, "damping": 1e-3, "joint friction": 1e-3},
     **{"armature": 1e-4, "joint position": 1.0},
 }
-"""Magnitudes in SI units below which errors are absolute; smaller values do not matter in a tabletop scene."""
 
+# Maximum deviation of an approximated collision shape from the scene's [m], which allows for Bullet's margin at both
+# ends and at a corner.
 SKIN_M = 2.5e-3
-"""Maximum deviation of an approximated collision shape from the scene's [m], which allows for Bullet's margin at both
-ends and at a corner."""
 
+# Quantities that must be present even if the entire object is approximated.
 _WHOLE = ("link", "joint", "robot", "held", "collider")
-"""Quantities that must be present even if the entire object is approximated."""
 
+# Quantities of a static link that an engine may omit.
 _WELDED = ("mass", "com", "inertia")
-"""Quantities of a static link that an engine may omit."""
 
 
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "convex_mesh")
+# The features that describe collider shapes and joint types; each collider and each joint has exactly one of them.
 _JOINTS = ("fixed_joint", "revolute", "continuous", "prismatic", "ball", "free")
-"""The features that describe collider shapes and joint types; each collider and each joint has exactly one of them."""
 
+# The collider quantities to compare, each with its read-back field and its features.
 _SURFACE = {
     "bounds": ("bounds", _SHAPES),
     "friction": ("friction", ("friction",)),
@@ -60,8 +61,8 @@ _SURFACE = {
     "torsional_friction": ("spinning", ("torsional_friction",)),
     "rolling_friction": ("rolling", ("rolling_friction",)),
 }
-"""The collider quantities to compare, each with its read-back field and its features."""
 
+# The joint quantities to compare, each with its read-back field and its features.
 _JOINT = {
     "axis": ("axis", ()),
     "limits": ("limits", ("joint_limits",)),
@@ -72,10 +73,9 @@ _JOINT = {
     "drive": ("drive", ("drive",)),
     "effort": ("effort", ("drive",)),
 }
-"""The joint quantities to compare, each with its read-back field and its features."""
 
+# The feature and element of every loss that could explain a difference; see :class:`Loss`.
 Keys = frozenset[tuple[str, str]]
-"""The feature and element of every loss that could explain a difference; see :class:`Loss`."""
 
 
 @dataclass(frozen=True)

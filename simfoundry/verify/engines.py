@@ -15,14 +15,14 @@ from simfoundry.targets.find import Target, find_target, target_names
 from simfoundry.targets.profile import READ_BACK, Band, EngineSpec, Gap
 from simfoundry.verify.process import EngineJob, Run, ask_probe
 
+# The environment variable that lists interpreters, separated by commas; each entry is ``PATH`` or ``ENGINE=PATH``.
 VARIABLE = "SIMFOUNDRY_ENGINES"
-"""The environment variable that lists interpreters, separated by commas; each entry is ``PATH`` or ``ENGINE=PATH``."""
 
+# Default relative tolerance of a profile, which is a hundred times the single-precision rounding error.
 TOLERANCE = 1e-5
-"""Default relative tolerance of a profile, which is a hundred times the single-precision rounding error."""
 
+# The profile features whose names differ from the compared quantities.
 _FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
-"""The profile features whose names differ from the compared quantities."""
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,11 @@ from simfoundry.verify.readback import (
     shape_bounds,
 )
 
+# Targets that write a capsule as a cylinder and two spheres, which together have the same shape.
 SPLIT_CAPSULES = ("urdf",)
-"""Targets that write a capsule as a cylinder and two spheres, which together have the same shape."""
 
+# Joint types that are not reported; a free joint is represented by the parent and pose of its link.
 _NO_JOINT = (JointType.FIXED, JointType.FREE)
-"""Joint types that are not reported; a free joint is represented by the parent and pose of its link."""
 
 
 def expected_readback(scene: Scene, target: str) -> WorldReadback:
@@ -158,8 +158,8 @@ def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
 
 
 _READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
+# The robot model formats that each target accepts, in order of preference.
 _OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
-"""The robot model formats that each target accepts, in order of preference."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 

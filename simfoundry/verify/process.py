@@ -40,10 +40,10 @@ _START = (
     "from simfoundry.verify.process import main; sys.exit(main(sys.argv[3:]))"
 )
 
+# Timeout for an interpreter to report its installed modules [s], which is exceeded only if it hangs.
 PROBE_S = 60.0
-"""Timeout for an interpreter to report its installed modules [s], which is exceeded only if it hangs."""
+# Timeout for an engine to process one build, including its startup [s].
 TIMEOUT_S = 180.0
-"""Timeout for an engine to process one build, including its startup [s]."""
 
 
 @dataclass(frozen=True)

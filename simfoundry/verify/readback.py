@@ -39,8 +39,8 @@ class ColliderReadback:
     rolling: float | None = None
 
 
+# The two possible parents of a root link: ``free`` for a free link, and ``world`` for a link fixed to the world.
 FREE, WORLD = "free", "world"
-"""The two possible parents of a root link: ``free`` for a free link, and ``world`` for a link fixed to the world."""
 
 
 @dataclass(frozen=True)
@@ -137,8 +137,8 @@ class Moment:
         return pose_of(self.poses[name])
 
 
+# Time step [s] for builds that do not specify one, which is small enough for all behaviors in ``verify``.
 TIMESTEP = 1e-3
-"""Time step [s] for builds that do not specify one, which is small enough for all behaviors in ``verify``."""
 
 
 class Session(ABC):

@@ -12,8 +12,8 @@ from simfoundry.geometry.frames import Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 
+# m/s^2, downward.
 GRAVITY = 9.81
-"""m/s^2, downward."""
 
 _GRAY = frozen_array([0.6, 0.6, 0.65, 1.0])
 _BLUE = frozen_array([0.25, 0.45, 0.8, 1.0])

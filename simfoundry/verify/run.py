@@ -24,8 +24,8 @@ from simfoundry.verify.engines import InstalledEngine, VerifyEngine
 from simfoundry.verify.process import TIMEOUT_S, EngineAnswer, EngineJob, Run, ask
 from simfoundry.verify.readback import Moment, pose_of
 
+# A callback that receives an engine's current activity and the number of work units completed since the last call.
 Report = Callable[[str, int], None]
-"""A callback that receives an engine's current activity and the number of work units completed since the last call."""
 
 
 class ProofStatus(StrEnum):
@@ -213,11 +213,11 @@ def judge_result(behavior: Behavior, engine: VerifyEngine, outcome: float | str)
     return BehaviorResult(behavior.name, engine.name, outcome, ProofStatus.MISMATCH, "", "")
 
 
+# The simulated duration [s], which is long enough for an unstable object to fall over.
 LEFT_ALONE = Run(2.0, 2.0)
-"""The simulated duration [s], which is long enough for an unstable object to fall over."""
 
+# Maximum deviation of an engine from the median state, which limits any two engines to within 2 mm and 1 degree.
 NEAR_MM, NEAR_DEG = 1.0, 0.5
-"""Maximum deviation of an engine from the median state, which limits any two engines to within 2 mm and 1 degree."""
 
 
 @dataclass(frozen=True)

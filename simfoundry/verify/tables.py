@@ -16,8 +16,8 @@ from simfoundry.verify.engines import InstalledEngine, VerifyEngine
 from simfoundry.verify.run import BehaviorResult, ProofStatus, ReadbackResult, RestResult
 
 ABSENT = "not installed"
+# Maximum number of differences printed per scene and engine; the JSON output contains all of them.
 SHOWN = 12
-"""Maximum number of differences printed per scene and engine; the JSON output contains all of them."""
 
 
 def reading_cell(reading: ReadbackResult) -> str:
@@ -151,11 +151,11 @@ def _aligned(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(lines)
 
 
+# Image size [px], such that two images fit side by side in a report on a laptop screen.
 WIDTH, HEIGHT = 480, 300
-"""Image size [px], such that two images fit side by side in a report on a laptop screen."""
 
+# Vertical field of view, which is narrow enough to show objects without distortion.
 _FIELD_DEG = 40.0
-"""Vertical field of view, which is narrow enough to show objects without distortion."""
 
 
 def picture(scene: Scene) -> bytes:

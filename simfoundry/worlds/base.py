@@ -59,11 +59,11 @@ def unknown_joint(robot: str, joint: str, known: tuple[str, ...]) -> KeyError:
     return KeyError(f"robot {robot!r} has no joint {joint!r}; available joints: {', '.join(known)}")
 
 
+# An sRGB color image, shape (h, w, 3).
 Image = NDArray[np.uint8]
-"""An sRGB color image, shape (h, w, 3)."""
 
+# Maximum gap between surfaces in contact [m], regardless of the engine's contact margin.
 CONTACT_GAP = 1e-3
-"""Maximum gap between surfaces in contact [m], regardless of the engine's contact margin."""
 
 
 @dataclass(frozen=True, eq=False)

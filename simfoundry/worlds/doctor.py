@@ -23,8 +23,8 @@ PYBULLET_REMEDY = (
 GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then, images are ray-cast"
 
 
+# The sections of the inventory in display order.
 SECTIONS = ("packages", "extras", "robots", "renderers", "models")
-"""The sections of the inventory in display order."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Part:
         return asdict(self)
 
 
+# The distribution name, module name and purpose of each required package.
 _PACKAGES = (
     ("numpy", "numpy", "arrays"),
     ("pydantic", "pydantic", "typed documents"),
@@ -60,7 +61,6 @@ _PACKAGES = (
     ("usd-core", "pxr.Usd", "USD worlds"),
     ("mujoco", "mujoco", "MuJoCo worlds, settling, rendering"),
 )
-"""The distribution name, module name and purpose of each required package."""
 
 
 def examine() -> list[Part]:

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     import mujoco
 
 
+# Maximum number of pixels per side of images rendered in quick mode, because policies render thousands of them.
 SMALL = 640
-"""Maximum number of pixels per side of images rendered in quick mode, because policies render thousands of them."""
 
 
 class MujocoWorld(BaseWorld):

@@ -38,8 +38,8 @@ from simfoundry.worlds.base import (
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, urdf_rows
 
+# PyBullet's index for the root link; any other link has the index of its parent joint.
 BASE = -1
-"""PyBullet's index for the root link; any other link has the index of its parent joint."""
 
 
 class PybulletWorld(BaseWorld):
@@ -251,8 +251,8 @@ def quiet_native_output() -> Iterator[None]:
             os.close(descriptor)
 
 
+# A function that calls a PyBullet function by name for one client, or a loader function that commands a motor.
 Call = Callable[..., Any]
-"""A function that calls a PyBullet function by name for one client, or a loader function that commands a motor."""
 
 
 class PybulletRobotHandle:

@@ -16,23 +16,23 @@ from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Contact, World
 
+# Minimum upward component of the contact normal for a contact that supports an object.
 UPWARD = 0.5
-"""Minimum upward component of the contact normal for a contact that supports an object."""
 
+# Minimum upward component for an object without such a contact, for example one held between a container's walls.
 STEEP = 0.02
-"""Minimum upward component for an object without such a contact, for example one held between a container's walls."""
 
+# Tilt for the stability test [deg], which is at most the slope of real shelves and tables.
 NUDGE_DEG = 0.5
-"""Tilt for the stability test [deg], which is at most the slope of real shelves and tables."""
 
+# Time for a nudged object to fall [s], which is longer than a pencil balanced on its tip needs.
 NUDGE_S = 1.5
-"""Time for a nudged object to fall [s], which is longer than a pencil balanced on its tip needs."""
 
+# Fraction of its height above the object's lowest point by which a center of mass must drop to count as toppling.
 TOPPLED = 0.1
-"""Fraction of its height above the object's lowest point by which a center of mass must drop to count as toppling."""
 
+# Horizontal distance from the center of mass [m] within which contacts do not stabilize an object.
 FOOT = 0.001
-"""Horizontal distance from the center of mass [m] within which contacts do not stabilize an object."""
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
@@ -94,17 +94,16 @@ def is_ball(item: SceneObject) -> bool:
     return ball_radius(item) is not None
 
 
+# Maximum displacement [m] of a stable object.
 MAX_MOVED = 0.01
-"""Maximum displacement [m] of a stable object."""
 
+# Maximum rotation [deg] of a stable object; 5 degrees move the rim of a mug by about MAX_MOVED.
 MAX_TURNED_DEG = 5.0
-"""Maximum rotation [deg] of a stable object; 5 degrees move the rim of a mug by about MAX_MOVED."""
 
 
+# Maximum displacement [m] and rotation [rad] over a window for an object at rest, because bodies on soft contacts creep
+# by hundredths of a millimeter.
 STILL_M, STILL_RAD = 1e-4, 1e-3
-"""Maximum displacement [m] and rotation [rad] over a window for an object at rest, because bodies on soft contacts
-creep by hundredths of a millimeter.
-"""
 
 
 def restless(scene: Scene, before: SceneState, after: SceneState) -> set[str]:

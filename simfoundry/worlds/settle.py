@@ -38,8 +38,8 @@ from simfoundry.worlds.rest import (
 
 Progress = Callable[[str, float], None]
 
+# Distance [m] below the lowest point of the initial scene at which an object counts as fallen off.
 FALLEN = 0.3
-"""Distance [m] below the lowest point of the initial scene at which an object counts as fallen off."""
 
 
 @dataclass(frozen=True)

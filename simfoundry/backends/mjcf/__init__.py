@@ -51,11 +51,11 @@ from simfoundry.backends.xmltext import xml_text
 from simfoundry.runtime.files import shipped
 from simfoundry.scene.model import Scene
 
+# Time step [s]. This is MuJoCo's default, at which contacts with its time constant of 20 ms are stable.
 TIMESTEP = 1 / 500
-"""Time step [s]. This is MuJoCo's default, at which contacts with its time constant of 20 ms are stable."""
 
+# The contact modes of a build: exact pairwise friction as in the scene, or MuJoCo's native rule.
 EXACT, NATIVE = "exact", "native"
-"""The contact modes of a build: exact pairwise friction as in the scene, or MuJoCo's native rule."""
 
 _LOADER = shipped("targets/mjcf") / "load.py"
 _RULES = Path(__file__).parent / "contact_rules.py"

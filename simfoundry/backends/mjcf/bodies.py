@@ -197,8 +197,8 @@ class Assets:
                 return name
 
 
+# Constraint parameters of a mimic joint; the time constant is two time steps, which is the smallest stable value.
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
-"""Constraint parameters of a mimic joint; the time constant is two time steps, which is the smallest stable value."""
 
 
 def add_mimics(root: ET.Element, scene: Scene) -> None:

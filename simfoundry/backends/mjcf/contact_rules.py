@@ -30,33 +30,33 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     import mujoco
 
+# The file that lists the contact pairs; ``scene.xml`` in the same folder includes it.
 CONTACTS_FILE = "contacts.xml"
-"""The file that lists the contact pairs; ``scene.xml`` in the same folder includes it."""
 
+# The content of :data:`CONTACTS_FILE` if there are no pairs; MuJoCo cannot include a file without elements.
 EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
-"""The content of :data:`CONTACTS_FILE` if there are no pairs; MuJoCo cannot include a file without elements."""
 
+# Maximum number of pairs in the file. This corresponds to 200 kB of text, and 40 us per step if no geoms are close.
 MAX_PAIRS = 3000
-"""Maximum number of pairs in the file. This corresponds to 200 kB of text, and 40 us per step if no geoms are close."""
 
+# Minimum number of pairs for which proxy geoms are used; fewer pairs are cheaper than proxies. MuJoCo tests a pair in
+# 14 ns if its geoms are far apart and in 0.7 us near a table, whereas moving proxy geoms must be updated in every step.
+# Measured with `tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: among values from 16 to 300 for moving
+# geoms, 150 was the fastest.
 MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
-"""Minimum number of pairs for which proxy geoms are used; fewer pairs are cheaper than proxies. MuJoCo tests a pair in
-14 ns if its geoms are far apart and in 0.7 us near a table, whereas moving proxy geoms must be updated in every step.
-Measured with `tests/benchmarks/stepping.py` on `cluttered` and `clear_table`: among values from 16 to 300 for moving
-geoms, 150 was the fastest."""
 
+# The name of the custom text that lists robot bodies, whose contacts are not changed.
 ROBOTS = "simfoundry:robots"
-"""The name of the custom text that lists robot bodies, whose contacts are not changed."""
 
+# The first part of the suffix in the names of proxy geoms and bodies; names in a scene do not contain colons.
 PROXY = ":proxy"
-"""The first part of the suffix in the names of proxy geoms and bodies; names in a scene do not contain colons."""
 
+# Time constant of a contact [s], which is MuJoCo's default. At 0.008, a bowl dropped from 2 cm penetrates a table by
+# 1.5 mm instead of 4 mm, but below 0.012, a can lying on its side rolls away.
 _CONTACT_TIME = 0.02
-"""Time constant of a contact [s], which is MuJoCo's default. At 0.008, a bowl dropped from 2 cm penetrates a table by
-1.5 mm instead of 4 mm, but below 0.012, a can lying on its side rolls away."""
 
+# Number of usable bits in a mask, which excludes the sign bit.
 _MASK_BITS = 31
-"""Number of usable bits in a mask, which excludes the sign bit."""
 
 
 class ContactSurface(NamedTuple):
@@ -86,11 +86,11 @@ class UnlikeGroup(NamedTuple):
     contact: ContactSurface
 
 
+# Pairs of bodies that do not collide.
 Excluded = frozenset[frozenset[str]]
-"""Pairs of bodies that do not collide."""
 
+# The mask bit of each surface of a moving geom.
 Bits = Mapping[ContactSurface, int]
-"""The mask bit of each surface of a moving geom."""
 
 
 def desired_contact(a: ContactSurface, b: ContactSurface) -> ContactSurface:
@@ -397,8 +397,8 @@ def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> No
             spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
+# The geom fields that a proxy copies: its shape, its pose and its contact parameters.
 _SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "solimp", "margin", "gap")
-"""The geom fields that a proxy copies: its shape, its pose and its contact parameters."""
 
 
 def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: ContactSurface) -> None:

@@ -20,11 +20,11 @@ from simfoundry.backends.mjcf.contact_rules import (
 from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
 
+# The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms.
 COLLISION, VISUAL = "collision", "visual"
-"""The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms."""
 
+# The geom group that cameras render. Colliders that are not visual are in group 3, which MuJoCo's viewer hides.
 VISUAL_GROUP = "2"
-"""The geom group that cameras render. Colliders that are not visual are in group 3, which MuJoCo's viewer hides."""
 
 _RESERVED = ("main", COLLISION, VISUAL)
 

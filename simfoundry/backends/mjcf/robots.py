@@ -18,15 +18,15 @@ from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotMode
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, Robot, mujoco_model
 
+# The sections of a robot's file that are merged into the scene in addition to bodies and defaults.
 _SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality", "actuator", "sensor")
-"""The sections of a robot's file that are merged into the scene in addition to bodies and defaults."""
 
+# MuJoCo's default impedance for joint friction, restored for robots because the scene's default is stiffer.
 _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
-"""MuJoCo's default impedance for joint friction, restored for robots because the scene's default is stiffer."""
 
 
+# The weight of a finger geom's stiffness in a contact; all other geoms have weight 1.
 _FINGERS = "1000"
-"""The weight of a finger geom's stiffness in a contact; all other geoms have weight 1."""
 
 
 def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:

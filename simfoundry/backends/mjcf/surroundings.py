@@ -16,11 +16,11 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Camera, JointType, Light, LightType, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 
+# A rotation by 180 degrees about x, between OpenCV axes (y down, z forward) and OpenGL axes (y up, z backward).
 OPENCV_FROM_OPENGL = Pose.of(q=[0.0, 1.0, 0.0, 0.0])
-"""A rotation by 180 degrees about x, between OpenCV axes (y down, z forward) and OpenGL axes (y up, z backward)."""
 
+# Offset [px] between a scene's pixel origin, the center of the first pixel, and MuJoCo's, the corner of the image.
 _HALF_PIXEL = 0.5
-"""Offset [px] between a scene's pixel origin, the center of the first pixel, and MuJoCo's, the corner of the image."""
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:
@@ -74,8 +74,8 @@ def light_losses(scene: Scene) -> Iterator[Loss]:
     return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)
 
 
+# The name of the custom text that marks a file as written by this backend; its data is the format version.
 MARK = "simfoundry:scene"
-"""The name of the custom text that marks a file as written by this backend; its data is the format version."""
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:

@@ -30,30 +30,30 @@ from simfoundry.runtime.files import shipped
 from simfoundry.scene.kinematics import Tree, contact_pairs, trees
 from simfoundry.scene.model import Camera, Joint, JointType, Light, LightType, Scene, SceneObject
 
+# Time step [s], about half of Bullet's default. All targets use the same step so that their behavior is comparable.
 TIMESTEP = 1 / 500
-"""Time step [s], about half of Bullet's default. All targets use the same step so that their behavior is comparable."""
 
+# The file name of the background, which no object can have.
 BACKGROUND = "_background.urdf"
-"""The file name of the background, which no object can have."""
 
+# Solver iterations per step in scenes with robots. With Bullet's default of 50, a marker held by a 2F-85 gripper creeps
+# by up to 2 cm and rotates while the arm moves. With 200 iterations it creeps by 5 mm; 500 iterations reduce this to 2
+# mm but take three times as long.
 GRASP_ITERATIONS = 200
-"""Solver iterations per step in scenes with robots. With Bullet's default of 50, a marker held by a 2F-85 gripper
-creeps by up to 2 cm and rotates while the arm moves. With 200 iterations it creeps by 5 mm; 500 iterations reduce this
-to 2 mm but take three times as long."""
 
 _GRIPS = {
     False: "It uses the friction in its file, which Bullet multiplies by the square root of the scene's.",
     True: "It grips as in MuJoCo, which uses the larger friction; for unequal scene frictions, this is approximate.",
 }
+# The reasons for the losses of robot surfaces and motors; the key is true if the robot was converted from its MJCF.
 _MOTORS = {
     False: "Bullet's motors hold their joints with full force, regardless of the gains in the robot's file.",
     True: "The arm lags according to its gains but does not sag; rotor inertias are added to the links as disks.",
 }
-"""The reasons for the losses of robot surfaces and motors; the key is true if the robot was converted from its MJCF."""
 
+# Near and far clipping distances of the cameras [m]. A wrist camera sees its own fingers at 2 cm, and no room is larger
+# than the far distance.
 NEAR, FAR = 0.01, 100.0
-"""Near and far clipping distances of the cameras [m]. A wrist camera sees its own fingers at 2 cm, and no room is
-larger than the far distance."""
 
 _LOADER = shipped("targets/pybullet") / "load.py"
 

@@ -35,8 +35,8 @@ class Resistance(NamedTuple):
     error: float
 
 
+# The resistances to spinning and rolling, by collider field name.
 Resistances = dict[str, Resistance]
-"""The resistances to spinning and rolling, by collider field name."""
 
 
 class _BulletSurface(NamedTuple):
@@ -133,8 +133,8 @@ def _error(a: _BulletSurface, b: _BulletSurface, written: dict[_BulletSurface, f
     return abs(found / pair_resistance(a.resistance, b.resistance) - 1)
 
 
+# Collision margin that Bullet adds around a convex mesh from a URDF [m]; it cannot be disabled.
 SKIN = 1e-3
-"""Collision margin that Bullet adds around a convex mesh from a URDF [m]; it cannot be disabled."""
 
 
 def split_under_skin() -> Split:

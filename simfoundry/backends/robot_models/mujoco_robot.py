@@ -25,11 +25,11 @@ from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 if TYPE_CHECKING:
     import mujoco
 
+# Position error [rad or m] at which a servo that was added to an unactuated joint reaches its maximum force.
 _SERVO_ERROR = 0.005
-"""Position error [rad or m] at which a servo that was added to an unactuated joint reaches its maximum force."""
 
+# Maximum force of an added servo [N m or N] if the model does not limit it.
 _EFFORT = 100.0
-"""Maximum force of an added servo [N m or N] if the model does not limit it."""
 
 _OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="false" meshdir=""/></mujoco>'
 

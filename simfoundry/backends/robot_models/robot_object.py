@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     import mujoco
 
 
+# Mass [kg] and moments of inertia [kg m^2] that replace those of a massless link, because most engines reject zero.
 _LIGHTEST, _LEAST = 1e-6, 1e-9
-"""Mass [kg] and moments of inertia [kg m^2] that replace those of a massless link, because most engines reject zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,12 +237,12 @@ def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic],
     return mimics, loops
 
 
+# A function that writes an object as ``<name>.urdf`` and returns this file with its assets.
 Write = Callable[[SceneObject], Mapping[str, bytes]]
-"""A function that writes an object as ``<name>.urdf`` and returns this file with its assets."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
+# Maximum force [N m or N] of a joint for which the URDF does not specify one.
 _STRONG = 100.0
-"""Maximum force [N m or N] of a joint for which the URDF does not specify one."""
 
 
 @dataclass(frozen=True, eq=False)

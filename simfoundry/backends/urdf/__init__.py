@@ -24,8 +24,8 @@ from simfoundry.runtime.files import shipped
 from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 
+# The loaders in a build, with the ``targets/`` folder from which each of them is copied.
 _LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
-"""The loaders in a build, with the ``targets/`` folder from which each of them is copied."""
 
 
 def compile_urdf(scene: Scene) -> Artifact:

@@ -16,9 +16,9 @@ from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
 
+# A function that splits a geometry into parts that a dialect supports, and yields a name suffix, the part and its pose
+# ``X_GP`` for each of them.
 Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
-"""A function that splits a geometry into parts that a dialect supports, and yields a name suffix, the part and its pose
-``X_GP`` for each of them."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Dialect:
     ball: str | None = None
 
 
+# Rows and columns of the inertia matrix, in the customary order of URDF's attributes.
 _TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Rows and columns of the inertia matrix, in the customary order of URDF's attributes."""
 
+# Effort limit [N or N m] and velocity limit [m/s or rad/s] of joints without limits. URDF requires these attributes;
+# the values are beyond the range of a tabletop scene.
 _EFFORT, _VELOCITY = "1000", "100"
-"""Effort limit [N or N m] and velocity limit [m/s or rad/s] of joints without limits. URDF requires these attributes;
-the values are beyond the range of a tabletop scene."""
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
@@ -56,8 +56,8 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
     return files
 
 
+# Texts that are identical in all dialects, cached for the lifetime of the object; most scenes use two dialects.
 _WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
-"""Texts that are identical in all dialects, cached for the lifetime of the object; most scenes use two dialects."""
 
 
 def _is_plain(item: SceneObject) -> bool:

@@ -12,8 +12,8 @@ from simfoundry.scene.model import JointType, Scene, SceneObject
 
 FEATURES = read_cells(Path(__file__).parent)
 
+# Limit of a prismatic joint without limits [m], which is far beyond any table and exact in single precision.
 UNBOUNDED_M = 1000.0
-"""Limit of a prismatic joint without limits [m], which is far beyond any table and exact in single precision."""
 
 
 def _drop(feature: str, element: str = "") -> Loss:

@@ -16,8 +16,8 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import Tree, contact_pairs, excluded_link_pairs, link_poses, trees
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 
+# The name of the variant that represents the object as written in its document.
 DEFAULT = "default"
-"""The name of the variant that represents the object as written in its document."""
 
 
 @dataclass(frozen=True)
@@ -196,12 +196,12 @@ _TYPE = {
     JointType.BALL: "PhysicsSphericalJoint",
 }
 
+# The instance name of PhysX's mimic joint schema, which single-axis joints use for any axis.
 _MIMIC = "rotX"
-"""The instance name of PhysX's mimic joint schema, which single-axis joints use for any axis."""
 _LIMIT = (0.02, 1.0)
+# MuJoCo's constraint parameters for joint limits and Coulomb friction, as in our MJCF. With the defaults of Newton's
+# MuJoCo solver, a load of 10 N rests 20 mm below its stop, and a joint held by friction creeps at 10 mm/s.
 _FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""MuJoCo's constraint parameters for joint limits and Coulomb friction, as in our MJCF. With the defaults of Newton's
-MuJoCo solver, a load of 10 N rests 20 mm below its stop, and a joint held by friction creeps at 10 mm/s."""
 
 
 def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:

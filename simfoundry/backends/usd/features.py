@@ -13,8 +13,8 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
+# PhysX's limit on the number of vertices of a convex hull, from its documentation of ``PxConvexMeshDesc``.
 HULL_VERTICES = 64
-"""PhysX's limit on the number of vertices of a convex hull, from its documentation of ``PxConvexMeshDesc``."""
 
 FEATURES = read_cells(Path(__file__).parent)
 

@@ -112,8 +112,8 @@ def vec3(values: Iterable[float]) -> tuple[float, ...]:
     return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 
+# The largest finite single-precision number.
 _MOST = 3.4028235e38
-"""The largest finite single-precision number."""
 
 
 def quat(q: Iterable[float]) -> tuple[float, ...]:
@@ -237,6 +237,7 @@ def _escapes(quote: str) -> list[str]:
 
 _ESCAPES = {quote: _escapes(quote) for quote in "'\""}
 
+# The formatting function for each type of value.
 _TEXT: dict[type, Callable[[Any], str]] = {
     float: number,
     tuple: _row,
@@ -246,4 +247,3 @@ _TEXT: dict[type, Callable[[Any], str]] = {
     int: str,
     Asset: lambda asset: f"@{asset.path}@",
 }
-"""The formatting function for each type of value."""

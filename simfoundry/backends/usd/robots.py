@@ -22,8 +22,8 @@ from simfoundry.scene.robot_files import model_files
 if TYPE_CHECKING:
     from pxr import Sdf, Usd
 
+# Rotation from a y-up stage to a z-up stage.
 _UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
-"""Rotation from a y-up stage to a z-up stage."""
 
 _LAYER = re.compile(r"layer @([^@]+)@")
 

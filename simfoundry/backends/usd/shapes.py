@@ -60,8 +60,8 @@ def crate_bytes(layer: Sdf.Layer) -> bytes:
         return path.read_bytes()
 
 
+# The path of the mesh layer, which all meshes share because separate files cost more than the meshes themselves.
 MESHES = "assets/meshes.usdc"
-"""The path of the mesh layer, which all meshes share because separate files cost more than the meshes themselves."""
 
 
 def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:

@@ -18,17 +18,17 @@ from simfoundry.backends.artifact import json_line, json_string
 from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.model import Source
 
+# The key of SimFoundry's dictionary in ``customData`` and ``customLayerData``.
 KEY = "simfoundry"
-"""The key of SimFoundry's dictionary in ``customData`` and ``customLayerData``."""
 
+# Document sections whose entries have prims, with the name of each section's scope below the default prim.
 SCOPES = {"objects": "Objects", "robots": "Robots", "cameras": "Cameras", "lights": "Lights"}
-"""Document sections whose entries have prims, with the name of each section's scope below the default prim."""
 
+# Prefixes of attributes that affect only display or lookup. Transforms are stored separately, under ``at``.
 VIEW_ONLY = (
     *("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:"),
     *("physics:approximation", "faceVarying", "subdivision", "doubleSided", "orientation"),
 )
-"""Prefixes of attributes that affect only display or lookup. Transforms are stored separately, under ``at``."""
 
 _NUMBER = "%.9g"
 
@@ -76,8 +76,8 @@ def _values(prim: Prim) -> dict[str, Any]:
     return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
+# Material bindings for appearance and contact, with the names under which they are recorded.
 _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
-"""Material bindings for appearance and contact, with the names under which they are recorded."""
 
 
 def _materials(world: Prim) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, l
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Background, Camera, Light, LightType, Splat
 
+# The path of the splat layer in the artifact.
 SPLAT = "assets/background.usdc"
-"""The path of the splat layer in the artifact."""
 
+# Extent of a Gaussian in standard deviations.
 _REACH = 3.0
-"""Extent of a Gaussian in standard deviations."""
 
 
 def define_background(world: Prim, looks: Prim, background: Background) -> None:

@@ -20,11 +20,11 @@ from simfoundry.spec.models.predicate import Condition, parse_call, parts
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import is_ball, is_confined, run_to_rest, tilt_deg
 
+# Maximum penetration depth at rest [m].
 PENETRATION = 0.001
-"""Maximum penetration depth at rest [m]."""
 
+# Maximum displacement [m] and tilt [deg] during settling, except for objects dropped onto or into the anchor.
 DRIFT, TILT_DEG = 0.01, 5.0
-"""Maximum displacement [m] and tilt [deg] during settling, except for objects dropped onto or into the anchor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,21 +159,18 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
             yield Reason("out_of_reach", text, {"away_m": result.away})
 
 
+# Minimum settling time, interval between rest checks, and maximum settling time [s].
+#
+# Settling ends before the minimum time only if the engine has put all bodies to sleep and nothing can move again.
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
-"""Minimum settling time, interval between rest checks, and maximum settling time [s].
 
-Settling ends before the minimum time only if the engine has put all bodies to sleep and nothing can move again.
-"""
-
+# Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
+# hundredths of a millimeter.
 SLEEP = 5e-4
-"""Sleep threshold [m/s]: MuJoCo puts a body to sleep after ten steps below this speed. Bodies that stay awake creep by
-hundredths of a millimeter.
-"""
 
+# Time [s] at which velocities are set to zero if only balls are still moving; the remaining time shows whether they
+# rest in a hollow.
 CALM_S = 2.0
-"""Time [s] at which velocities are set to zero if only balls are still moving; the remaining time shows whether they
-rest in a hollow.
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,14 +30,14 @@ from simfoundry.cousins.layout.twin import Twin
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.place import CLEARANCE
 
+# Clearance between objects that should not touch [m]; equal to the contact margin of the engines.
 GAP = 0.002
-"""Clearance between objects that should not touch [m]; equal to the contact margin of the engines."""
 
+# Number of candidates per object in a batch.
 EACH = 4
-"""Number of candidates per object in a batch."""
 
+# Maximum number of objects in a batch, small enough for the pairwise tables to fit in the processor cache.
 TOGETHER = 24
-"""Maximum number of objects in a batch, small enough for the pairwise tables to fit in the processor cache."""
 
 Spot = tuple[float, float, float]
 

@@ -27,10 +27,9 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.predicate import parse_call, texts
 
+# Multiple of :data:`DROPS` to try before rejecting an object that can only partly fit. If one in fifty drops succeeds,
+# 8 of 100 requests are wrongly rejected; lower success rates are useless to a recipe.
 DOUBTED = 2
-"""Multiple of :data:`DROPS` to try before rejecting an object that can only partly fit. If one in fifty drops succeeds,
-8 of 100 requests are wrongly rejected; lower success rates are useless to a recipe.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +257,7 @@ def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
     return False
 
 
+# Predicates for objects that stand beside the anchor on the same support, as phrases.
 SIDES = {
     "LeftOf": "left of",
     "RightOf": "right of",
@@ -265,10 +265,9 @@ SIDES = {
     "Behind": "behind",
     "NextTo": "next to",
 }
-"""Predicates for objects that stand beside the anchor on the same support, as phrases."""
 
+# Predicates for objects that are supported by the anchor, as phrases.
 DROPPED = {"OnTop": "on", "Inside": "inside"}
-"""Predicates for objects that are supported by the anchor, as phrases."""
 
 AGAINST = ({"LeftOf", "RightOf"}, {"InFrontOf", "Behind"})
 
@@ -305,11 +304,10 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
     return sign * viewer_axis(viewer, column)
 
 
+# Maximum fraction of a table's area that shadows can fill if objects are placed at random, largest first. Disks or
+# squares of equal size reach 0.55 (the jamming limit of random sequential packing); small objects between large ones
+# fill slightly more.
 FULL = 0.85
-"""Maximum fraction of a table's area that shadows can fill if objects are placed at random, largest first. Disks or
-squares of equal size reach 0.55 (the jamming limit of random sequential packing); small objects between large ones fill
-slightly more.
-"""
 
 
 def too_full(

@@ -20,11 +20,11 @@ from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.scene import Place
 
+# An object rests on an edge if its lowest point is closer to it than this [m]; dropped objects keep a gap of 1 mm.
 EDGE = 0.003
-"""An object rests on an edge if its lowest point is closer to it than this [m]; dropped objects keep a gap of 1 mm."""
 
+# Number of drops after which the object is considered not to fit.
 DROPS = 64
-"""Number of drops after which the object is considered not to fit."""
 
 
 def drop(
@@ -151,16 +151,15 @@ def dropped(
     return Pose.of(found.p, turned.q)
 
 
+# Number of sampled orientations, about 25 degrees apart.
 TURNS = 240
-"""Number of sampled orientations, about 25 degrees apart."""
 
+# Number of sample points in the object, the same as in the predicate ``Inside``.
 SAMPLES = 64
-"""Number of sample points in the object, the same as in the predicate ``Inside``."""
 
+# If the best fraction over the sampled orientations is below this, no intermediate orientation reaches
+# :data:`ENCLOSED`.
 SURE = 0.4
-"""If the best fraction over the sampled orientations is below this, no intermediate orientation reaches
-:data:`ENCLOSED`.
-"""
 assert SURE < ENCLOSED
 
 

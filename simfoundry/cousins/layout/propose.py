@@ -25,11 +25,11 @@ from simfoundry.geometry.frames import Array, Pose, Poses, rotations
 from simfoundry.predicates.judging.view import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
+# Maximum number of attempts to place all objects.
 STARTS = 4
-"""Maximum number of attempts to place all objects."""
 
+# Retry placing distractors only if at most this many, or an eighth of them, remain; retrying does not create space.
 ALMOST = 4
-"""Retry placing distractors only if at most this many, or an eighth of them, remain; retrying does not create space."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,8 @@ class Layout:
         )
 
 
+# The unchanged layout of the twin.
 NOTHING = Layout("", (), MappingProxyType({}))
-"""The unchanged layout of the twin."""
 
 
 def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:

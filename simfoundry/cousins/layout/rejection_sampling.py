@@ -22,27 +22,26 @@ from numpy.typing import NDArray
 from simfoundry.cousins.layout.supports import Complex, Outline, Support
 from simfoundry.geometry.frames import Array
 
+# Number of candidates after which the search for a placement is abandoned.
 TRIES = 4096
-"""Number of candidates after which the search for a placement is abandoned."""
 
+# Size of the first batch, size of the first batch if predicates are evaluated, and maximum size; batches grow.
 FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
-"""Size of the first batch, size of the first batch if predicates are evaluated, and maximum size; batches grow."""
 
+# An object stands on a level if the height of its lowest point is within this tolerance [m].
 NEAR_LEVEL = 0.02
-"""An object stands on a level if the height of its lowest point is within this tolerance [m]."""
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+# Function that returns a mask of the allowed candidates, given x and y [m] of the object's frame and its rotation about
+# z [rad], shape (n,) each.
 Allowed = Callable[[Array, Array, Array], Mask]
-"""Function that returns a mask of the allowed candidates, given x and y [m] of the object's frame and its rotation
-about z [rad], shape (n,) each.
-"""
 
+# Function that returns whether a candidate is clear of the given entries, whose rectangles it overlaps.
 Clear = Callable[[float, float, float, tuple[int, ...]], bool]
-"""Function that returns whether a candidate is clear of the given entries, whose rectangles it overlaps."""
 
+# Function that returns whether a candidate passes a test that is too expensive to run on many candidates.
 Last = Callable[[float, float, float], bool]
-"""Function that returns whether a candidate passes a test that is too expensive to run on many candidates."""
 
 
 class Occupancy:

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 Complex = NDArray[np.complex128]
 
+# Number of corners of the polygon around the shadow of a ball.
 ROUND = 48
-"""Number of corners of the polygon around the shadow of a ball."""
 
+# Tolerance [m] on the corner heights of a box that stands flat, to allow for the inaccuracy of settling.
 LEVEL = 2e-4
-"""Tolerance [m] on the corner heights of a box that stands flat, to allow for the inaccuracy of settling."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,30 +167,28 @@ def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -
     return bool(flat and abs(_area(corners) - 4 * half[0] * half[1]) < 1e-3 * _area(corners))
 
 
+# Minimum z component of the unit normal of a level face.
 UPWARD = 0.999
-"""Minimum z component of the unit normal of a level face."""
 
+# Faces whose heights differ by less than this [m] belong to the same level.
 STEP = 1e-3
-"""Faces whose heights differ by less than this [m] belong to the same level."""
 
+# Width [m] below which an edge is too narrow to stand on, such as the side panel of a shelf or the rim of a box.
+# Graspable objects are about this wide or wider and would balance there.
 NARROW = 0.04
-"""Width [m] below which an edge is too narrow to stand on, such as the side panel of a shelf or the rim of a box.
-Graspable objects are about this wide or wider and would balance there.
-"""
 
+# Height above a level [m] from which rays test whether a hand has access; lower than the lips that keep objects on
+# trays.
 ABOVE = 0.02
-"""Height above a level [m] from which rays test whether a hand has access; lower than the lips that keep objects on
-trays.
-"""
 
+# Minimum fraction of the rays from a level's center that must leave the object for the level to be open; about a sixth
+# do on a shelf with an open front, and none in a closed drawer.
 OPEN_SHARE = 0.05
-"""Minimum fraction of the rays from a level's center that must leave the object for the level to be open; about a sixth
-do on a shelf with an open front, and none in a closed drawer.
-"""
 
+# Ray directions (x, y, 1) that cover a field of view of about 90 degrees.
 _FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
-"""Ray directions (x, y, 1) that cover a field of view of about 90 degrees."""
 
+# Rotations whose last column is the viewing direction: +x, -x, +y, -y and up.
 SIDEWAYS = tuple(
     np.array(axes, dtype=np.float64).T
     for axes in (
@@ -201,7 +199,6 @@ SIDEWAYS = tuple(
         ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     )
 )
-"""Rotations whose last column is the viewing direction: +x, -x, +y, -y and up."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,13 +37,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates import Judge
 
 
+# Distance [m] of absent objects from the scene and from each other, so that they do not collide as they fall.
 ELSEWHERE = 100.0
-"""Distance [m] of absent objects from the scene and from each other, so that they do not collide as they fall."""
 
+# A level surface at least this far [m] below a tabletop is considered the floor; the lowest tables are about this high.
 UNDERFOOT = 0.3
-"""A level surface at least this far [m] below a tabletop is considered the floor; the lowest tables are about this
-high.
-"""
 
 
 class TwinError(SimfoundryError):

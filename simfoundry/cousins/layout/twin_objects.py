@@ -26,10 +26,9 @@ if TYPE_CHECKING:
 
     from simfoundry.robots.reach import ArmReach
 
+# Radius and height [m] of the column that reserves space for the base of a robot without a model. A Panda's foot
+# extends 0.155 m from its axis, and smaller arms have smaller feet; no placed object is higher above a table than this.
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
-"""Radius and height [m] of the column that reserves space for the base of a robot without a model. A Panda's foot
-extends 0.155 m from its axis, and smaller arms have smaller feet; no placed object is higher above a table than this.
-"""
 
 
 class TwinRobots:

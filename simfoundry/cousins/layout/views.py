@@ -14,17 +14,17 @@ from simfoundry.geometry.shapes import Geometry, tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, SceneObject
 
+# Fraction of an object that at least one camera must see; if less is visible in the twin, that fraction suffices.
 SEEN = 0.6
-"""Fraction of an object that at least one camera must see; if less is visible in the twin, that fraction suffices."""
 
+# Near plane of a camera [m].
 CLOSEST = 0.01
-"""Near plane of a camera [m]."""
 
+# Number of rays along each side of an object's rectangle in the image; the result is then accurate to about 3%.
 RAYS = 16
-"""Number of rays along each side of an object's rectangle in the image; the result is then accurate to about 3%."""
 
+# Number of edges around a round shape; the outline error is at most 3.4% of the radius, about the ray resolution.
 SEGMENTS = 12
-"""Number of edges around a round shape; the outline error is at most 3.4% of the radius, about the ray resolution."""
 
 
 @dataclass(frozen=True, eq=False)

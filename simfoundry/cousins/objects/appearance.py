@@ -120,9 +120,8 @@ def same_kind(a: str, b: str) -> bool:
     return a == b != ""
 
 
+# Maximum random deviation of each channel from the colors in the tables; makes it unlikely that colors are identical.
 JITTER = 0.035
-"""Maximum random deviation of each channel from the colors in the tables; makes it unlikely that colors are identical.
-"""
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -237,12 +236,12 @@ def _shown(color: Color) -> str:
     return "#" + "".join(f"{round(255 * v):02x}" for v in color)
 
 
+# Kinds of components that usually have a different color from the body.
 ACCENTS = (Kind.HANDLE, Kind.KNOB, Kind.CAP, Kind.BAND)
-"""Kinds of components that usually have a different color from the body."""
 
+# Edits, and the kinds of components that they apply to.
 APPEARANCE = (
     (recolor, MAIN),
     (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
     (change_material, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
 )
-"""Edits, and the kinds of components that they apply to."""

@@ -73,14 +73,14 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     return Needs(tuple(rests), joints, opening, MappingProxyType(others))
 
 
+# Allowed range of the longest side relative to the twin's, if the category is unknown.
 SCALE = (0.6, 1.6)
-"""Allowed range of the longest side relative to the twin's, if the category is unknown."""
 
+# Allowed range of the mass relative to the twin's, if the category is unknown.
 WEIGHT = (0.25, 4.0)
-"""Allowed range of the mass relative to the twin's, if the category is unknown."""
 
+# Clearance that a gripper requires in addition to the grasp width [m].
 MARGIN = 0.003
-"""Clearance that a gripper requires in addition to the grasp width [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,25 +189,24 @@ def _size(item: SceneObject, twin: SceneObject, sort: CategoryPrior | None) -> I
 TABLE = "trial_table"
 GRAVITY = frozen_array([0.0, 0.0, -9.81])
 
+# Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval between checks [s].
 STILL, LONGEST, LOOK = 0.01, 4.0, 0.25
-"""Speed below which an object is at rest [m/s], maximum duration of a trial [s], and interval between checks [s]."""
 
+# How far joints are opened during a trial, as a fraction of their range.
 OPENED = 0.95
-"""How far joints are opened during a trial, as a fraction of their range."""
 
+# Number of positions per joint to test for jamming.
 STEPS = 9
-"""Number of positions per joint to test for jamming."""
 
+# Penetration depth between links of the same object above which a joint is considered jammed [m].
 DEEPEST = 0.001
-"""Penetration depth between links of the same object above which a joint is considered jammed [m]."""
 
+# Minimum joint range of a variant as a fraction of the twin's joint range.
 LEAST_RANGE = 0.75
-"""Minimum joint range of a variant as a fraction of the twin's joint range."""
 
+# Orientations in which to put an object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
+# tilted in two directions.
 TURNS = ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, 90.0, 0.0), (90.0, 0.0, 0.0))
-"""Orientations in which to put an object into another, as roll, pitch and yaw [deg]: unchanged, rotated about z, and
-tilted in two directions.
-"""
 
 
 @dataclass(frozen=True)

@@ -41,17 +41,17 @@ from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 T = TypeVar("T", bound=BaseModel)
 
 DIMENSIONS = ("geometry", "topology", "visual")
+# Names used in recipes for the paper's dimensions.
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
-"""Names used in recipes for the paper's dimensions."""
 
+# Number of consecutive failures after which generation is aborted.
 FAILURES = 3
-"""Number of consecutive failures after which generation is aborted."""
 
+# Maximum number of images to try per proposal, as in the paper's pipeline.
 ATTEMPTS = 3
-"""Maximum number of images to try per proposal, as in the paper's pipeline."""
 
+# Width and height of the images sent to models [px].
 SIDE = 512
-"""Width and height of the images sent to models [px]."""
 
 
 class PromptModel(Protocol):

@@ -58,8 +58,8 @@ from simfoundry.spec.models.base import (
     SphereShape,
 )
 
+# Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6
-"""Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes."""
 
 
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
@@ -163,16 +163,15 @@ def _is_square(rotation: Array) -> bool:
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
+# The changed asset and a description of the change.
 Edit = tuple[AssetSpec, str]
-"""The changed asset and a description of the change."""
 
+# Range of the stretch factor along each axis; results with a size or mass implausible for the category are rejected
+# later.
 LEAST, MOST = 0.74, 1.36
-"""Range of the stretch factor along each axis; results with a size or mass implausible for the category are rejected
-later.
-"""
 
+# Parts farther from the axis than this fraction of the body's radius are considered attached to its wall.
 ATTACHED = 0.6
-"""Parts farther from the axis than this fraction of the body's radius are considered attached to its wall."""
 
 
 def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
@@ -185,12 +184,11 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
     return stretched(spec, factor), f"stretched: {sizes}"
 
 
+# Ranges of the factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in stores.
 HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
-"""Ranges of the factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in stores.
-"""
 
+# Minimum foot radius as a fraction of the rim radius; vessels with smaller feet topple when pushed.
 SMALLEST_FOOT = 0.35
-"""Minimum foot radius as a fraction of the rim radius; vessels with smaller feet topple when pushed."""
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -344,6 +342,7 @@ def is_radial(part: PartSpec) -> bool:
     return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9
 
 
+# Edits, and the kinds of components that they apply to.
 GEOMETRY = (
     (reshape, (Kind.VESSEL,)),
     (stretch, MAIN),
@@ -353,4 +352,3 @@ GEOMETRY = (
     (thicken, (Kind.VESSEL,)),
     (resize, (Kind.HANDLE, Kind.KNOB, Kind.STEM, Kind.CAP)),
 )
-"""Edits, and the kinds of components that they apply to."""

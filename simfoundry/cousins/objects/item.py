@@ -21,8 +21,8 @@ from simfoundry.spec.models.base import BodySpec, Material
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec, variant_names, variant_of
 from simfoundry.spec.yaml.write import to_yaml
 
+# Name of the single link in the asset of a shape or mesh.
 LINK = "body"
-"""Name of the single link in the asset of a shape or mesh."""
 
 _OF_BODY = tuple(BodySpec.model_fields)
 

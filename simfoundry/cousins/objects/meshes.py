@@ -37,8 +37,8 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 
+# Folder for the meshes of variants, next to their documents.
 FOLDER = "meshes"
-"""Folder for the meshes of variants, next to their documents."""
 
 
 def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
@@ -112,25 +112,22 @@ def joined(parts: tuple[MeshPart, ...]) -> MeshPart | None:
     return MeshPart(*merged(parts), rgba=next((p.rgba for p in parts if p.rgba is not None), None))
 
 
+# Number of rings along a tube's path, and number of corners per ring. On a mug's handle, this gives facets of 2 mm,
+# which shading hides.
 RINGS, AROUND = 33, 14
-"""Number of rings along a tube's path, and number of corners per ring. On a mug's handle, this gives facets of 2 mm,
-which shading hides.
-"""
 
+# Number of capsules in a tube's collision geometry; they deviate by 0.8 mm from a half circle with a radius of 30 mm.
 COLLIDERS = 7
-"""Number of capsules in a tube's collision geometry; they deviate by 0.8 mm from a half circle with a radius of 30 mm.
-"""
 
+# Length [m] by which a tube's axis extends into the body, so that its entire end is inside an inclined or curved wall.
+# Points that would protrude on the other side are pulled back into the wall.
 SUNK = 0.004
-"""Length [m] by which a tube's axis extends into the body, so that its entire end is inside an inclined or curved wall.
-Points that would protrude on the other side are pulled back into the wall.
-"""
 
+# Fraction of a wall's thickness that the ends of a handle penetrate.
 IN_WALL = 0.5
-"""Fraction of a wall's thickness that the ends of a handle penetrate."""
 
+# Name of the visual part; the collision parts are capsules.
 LOOK = "handle_look"
-"""Name of the visual part; the collision parts are capsules."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,6 +302,8 @@ def _ring(t: Array) -> tuple[Array, Array]:
     return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
 
 
+# Tube paths by name. Each function maps the path parameter, from 0 to 1, to the normalized position between the feet
+# and the normalized outward distance.
 FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "half-round": lambda t: ((1 - np.cos(np.pi * t)) / 2, np.sin(np.pi * t)),
     "square": _square,
@@ -315,6 +314,3 @@ FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     # Runs straight outward and then curves back to the other foot.
     "strap": lambda t: (t**1.6, np.sin(np.pi * t**0.6) ** 0.8),
 }
-"""Tube paths by name. Each function maps the path parameter, from 0 to 1, to the normalized position between the feet
-and the normalized outward distance.
-"""

@@ -30,8 +30,8 @@ from simfoundry.spec.models.base import (
     SphereShape,
 )
 
+# Identifier of a part: the name of its link and the name of the part.
 Key = tuple[str, str]
-"""Identifier of a part: the name of its link and the name of the part."""
 
 Parts = Mapping[Key, PartSpec]
 
@@ -175,14 +175,14 @@ def _vector(xyz: Array) -> tuple[float, float, float]:
 
 # -- components --------------------------------------------------------------------------------------------------------
 
+# Maximum radius [m] of a protruding rod that can be part of a handle.
 SLIM = 0.012
-"""Maximum radius [m] of a protruding rod that can be part of a handle."""
 
+# Maximum distance [m] between the bounding boxes of parts that belong to the same handle.
 TOUCH = 0.003
-"""Maximum distance [m] between the bounding boxes of parts that belong to the same handle."""
 
+# Minimum number of balls in a bunch.
 MANY = 5
-"""Minimum number of balls in a bunch."""
 
 
 class Kind(StrEnum):
@@ -206,9 +206,10 @@ class Kind(StrEnum):
     PLATE = "plate"  # a surface to put objects on, such as a stove's burners
 
 
+# Kinds of component that a body can be.
 MAIN = (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)
-"""Kinds of component that a body can be."""
 
+# Words in part names that identify a kind.
 WORDS = {
     Kind.HANDLE: ("handle", "grip", "post", "bail", "lug", "tab"),
     Kind.KNOB: ("knob", "dial"),
@@ -219,7 +220,6 @@ WORDS = {
     Kind.BASE: ("foot", "feet", "base"),
     Kind.PLATE: ("burner", "hob"),
 }
-"""Words in part names that identify a kind."""
 
 BOARDS = {"floor", "bottom", "front", "back", "left", "right", "side", "wall"}
 

@@ -25,29 +25,27 @@ RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": GEOMETRY, "topology": TOPOLOGY, "appearance": APPEARANCE}
 )
 
+# Rules that keep meshes and shapes consistent, for objects whose visual geometry is a mesh and whose collision geometry
+# consists of shapes.
 TOGETHER: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": ((stretch, MAIN),), "topology": (), "appearance": ((recolor, MAIN),)}
 )
-"""Rules that keep meshes and shapes consistent, for objects whose visual geometry is a mesh and whose collision
-geometry consists of shapes.
-"""
 
+# Probability that a variant differs in each allowed dimension. If the geometry may vary, it always does, because the
+# variant could otherwise be a recolored copy.
 SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
-"""Probability that a variant differs in each allowed dimension. If the geometry may vary, it always does, because the
-variant could otherwise be a recolored copy.
-"""
 
+# Weights of rules relative to the default of 1. With these, three of four vessels get a different silhouette.
 WEIGHTS: Mapping[Rule, float] = MappingProxyType({reshape: 16.0})
-"""Weights of rules relative to the default of 1. With these, three of four vessels get a different silhouette."""
 
+# Probability that a variant whose appearance may change gets a pattern; many real objects are plain.
 SKINNED = 0.7
-"""Probability that a variant whose appearance may change gets a pattern; many real objects are plain."""
 
+# Kinds of components that usually look the same on one object; an edit of one is applied to all.
 ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
-"""Kinds of components that usually look the same on one object; an edit of one is applied to all."""
 
+# Maximum number of rules to try before giving up if none applies.
 TRIES = 8
-"""Maximum number of rules to try before giving up if none applies."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,25 +13,24 @@ from simfoundry.spec.models.base import LatheShape
 
 Rng = np.random.Generator
 
+# Minimum depth of a cavity as a fraction of the height.
 HOLLOW = 0.12
-"""Minimum depth of a cavity as a fraction of the height."""
 
+# Minimum number of bands in a curved wall; each band is split into convex parts.
 LEVELS = 5
-"""Minimum number of bands in a curved wall; each band is split into convex parts."""
 
+# Maximum ratios of height to rim radius for dishes, bowls and pots; vessels above the last limit are cups.
 FLAT, LOW, WIDE = 0.4, 0.8, 1.4
-"""Maximum ratios of height to rim radius for dishes, bowls and pots; vessels above the last limit are cups."""
 
+# Minimum wall thickness [m].
 THINNEST = 0.0015
-"""Minimum wall thickness [m]."""
 
+# Minimum fraction of a wall's thickness that must remain after curving it; a wall thinned by a third still looks
+# plausible.
 KEPT_WALL = 0.6
-"""Minimum fraction of a wall's thickness that must remain after curving it; a wall thinned by a third still looks
-plausible.
-"""
 
+# Fractions of a curve's deviation from a straight line to try, in this order.
 FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Fractions of a curve's deviation from a straight line to try, in this order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,17 +213,15 @@ def _ring_at(chain: Array, height: float) -> Array:
 
 # -- silhouettes -------------------------------------------------------------------------------------------------------
 
+# Number of rings in a curved wall; for a bulge of 10% of a cup's radius, the chords then deviate by less than 0.1 mm.
 POINTS = 13
-"""Number of rings in a curved wall; for a bulge of 10% of a cup's radius, the chords then deviate by less than 0.1 mm.
-"""
 
+# Normalized profile: function that maps heights from 0 (foot) to 1 (rim), shape (k,), to outer radii that are scaled so
+# that the foot is 0 and the rim is 1, shape (k,).
 Form = Callable[[Array, Rng], Array]
-"""Normalized profile: function that maps heights from 0 (foot) to 1 (rim), shape (k,), to outer radii that are scaled
-so that the foot is 0 and the rim is 1, shape (k,).
-"""
 
+# Forms by name: range of the foot radius as a fraction of the rim radius, and the normalized profile.
 Forms = dict[str, tuple[tuple[float, float], Form]]
-"""Forms by name: range of the foot radius as a fraction of the rim radius, and the normalized profile."""
 
 
 def forms_of(slender: float) -> Forms:

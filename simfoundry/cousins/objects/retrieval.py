@@ -33,18 +33,17 @@ from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 
+# Number of surface point pairs and number of histogram bins; the noise of the shape distance is then below 0.02.
 PAIRS, BINS = 16_384, 24
-"""Number of surface point pairs and number of histogram bins; the noise of the shape distance is then below 0.02."""
 
 SEGMENTS = 32
 
+# Number of levels per texture channel; with finer levels, there would be too many colors to match.
 LEVELS = 12
-"""Number of levels per texture channel; with finer levels, there would be too many colors to match."""
 
+# Thresholds for distinct objects: 6% in side length, 0.06 in shape (fraction of point pairs in different bins), or 12
+# in L*a*b* color, which is five times the just noticeable difference (Mahy et al., 1994).
 SIZE, SHAPE, COLOR = 0.06, 0.06, 12.0
-"""Thresholds for distinct objects: 6% in side length, 0.06 in shape (fraction of point pairs in different bins), or 12
-in L*a*b* color, which is five times the just noticeable difference (Mahy et al., 1994).
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,14 +184,14 @@ def _tints(mesh: Mesh) -> Array:
     return np.asarray(pixels[((1 - v) * 63).round().astype(int), (u * 63).round().astype(int)])
 
 
+# Range of the factor by which a library object can be scaled to match the twin's size.
 LEAST, MOST = 0.5, 2.0
-"""Range of the factor by which a library object can be scaled to match the twin's size."""
 
+# Additional distance for objects in a different category, in the units of :attr:`LikenessDistance.distance`.
 STRANGER = 3.0
-"""Additional distance for objects in a different category, in the units of :attr:`LikenessDistance.distance`."""
 
+# Material for meshes if the twin does not specify one.
 USUAL = Material(density=700.0, friction=0.5, restitution=0.1)
-"""Material for meshes if the twin does not specify one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,18 +26,18 @@ from simfoundry.geometry.shapes import Mesh
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
+# Width and height of a texture [px]; gives a resolution of 1.3 mm around a mug, and PNG files of 20 to 60 kB.
 PIXELS = 192
-"""Width and height of a texture [px]; gives a resolution of 1.3 mm around a mug, and PNG files of 20 to 60 kB."""
 
+# Number of sides of a solid of revolution; the chords then deviate from the circle by 0.1% of the radius.
 AROUND = 64
-"""Number of sides of a solid of revolution; the chords then deviate from the circle by 0.1% of the radius."""
 
 
+# Values in [0, 1] from top to bottom, shape (PIXELS, PIXELS); for a pattern, the fraction of the second color.
 Field = NDArray[np.float64]
-"""Values in [0, 1] from top to bottom, shape (PIXELS, PIXELS); for a pattern, the fraction of the second color."""
 
+# Function that evaluates a pattern at u (around) and v (up), both in [0, 1]; periodic in u.
 Pattern = Callable[[Field, Field, Rng], Field]
-"""Function that evaluates a pattern at u (around) and v (up), both in [0, 1]; periodic in u."""
 
 
 def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
@@ -87,8 +87,8 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     return with_added(with_parts(spec, parts), component.link, looks), files, f"{component.name} with {name}"
 
 
+# Kinds of components that can get a pattern; excludes berries and the layers of a burger.
 SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
-"""Kinds of components that can get a pattern; excludes berries and the layers of a burger."""
 
 
 def _is_chain(parts: list[PartSpec]) -> bool:
@@ -129,11 +129,11 @@ def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
     return stream.getvalue()
 
 
+# Fraction of a texture's height that contains the pattern.
 PAINTED = 0.66
-"""Fraction of a texture's height that contains the pattern."""
 
+# Vertical texture coordinate at which the texture has a plain color.
 PLAIN = 0.83
-"""Vertical texture coordinate at which the texture has a plain color."""
 
 
 # -- surfaces ---------------------------------------------------------------------------------------------------------

@@ -35,8 +35,8 @@ from simfoundry.spec.models.base import BoxShape, PoseSpec, SphereShape
 
 FORWARD = np.array([1.0, 0.0, 0.0])
 
+# Minimum ratio of height to width for a loop handle; bowls and plates get lugs or a foot instead.
 SHALLOW = 0.6
-"""Minimum ratio of height to width for a loop handle; bowls and plates get lugs or a foot instead."""
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
@@ -279,6 +279,7 @@ def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     return with_added(spec, component.link, {"clip": part}), "a clip on its cap"
 
 
+# Edits, and the kinds of components that they apply to.
 TOPOLOGY = (
     (remove, (Kind.DIVIDER, Kind.BAND, Kind.STEM)),
     (mirror, (Kind.HANDLE,)),
@@ -296,7 +297,6 @@ TOPOLOGY = (
     (leaf, (Kind.STEM,)),
     (clip, (Kind.CAP,)),
 )
-"""Edits, and the kinds of components that they apply to."""
 
 
 def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | None:

@@ -39,14 +39,14 @@ from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_val
 from simfoundry.spec.models.cousins import ObjectVariants
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
+# Maximum number of candidates per requested variant.
 MOST_TRIES = 25
-"""Maximum number of candidates per requested variant."""
 
+# Maximum number of characters in a document's note.
 NOTE = 200
-"""Maximum number of characters in a document's note."""
 
+# Callback that receives the numbers of accepted variants and examined candidates.
 Progress = Callable[[int, int], None]
-"""Callback that receives the numbers of accepted variants and examined candidates."""
 
 
 class Origins(Protocol):
@@ -283,8 +283,8 @@ def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
     return {name: abs(mass.mesh(*weld(*merged(read_parts(files[name])))).volume) for name in names}
 
 
+# Relative uncertainty of the density of a material that is not in the tables.
 DOUBT = 0.15
-"""Relative uncertainty of the density of a material that is not in the tables."""
 
 BY = "volume and density"
 GIVEN = "the twin's mass, by volume"

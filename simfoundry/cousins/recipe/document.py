@@ -36,8 +36,8 @@ from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree
 
+# Recipe fields that do not affect a candidate, plus the seed, which can be overridden for a run.
 NOT_COUNTED = ("simfoundry", "extends", "name", "description", "allow", "conflicts", "count", "seed")
-"""Recipe fields that do not affect a candidate, plus the seed, which can be overridden for a run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +179,11 @@ def claim_project(recipe: Recipe, out: Path) -> Path | None:
     return None
 
 
+# Joint displacements [m or rad] up to this value are ignored: the joint keeps the position in its document.
 STILL = 1e-3
-"""Joint displacements [m or rad] up to this value are ignored: the joint keeps the position in its document."""
 
+# Maximum number of characters of the recipe's name in a cousin's name; an underscore and six digits are appended.
 MOST_NAME = 57
-"""Maximum number of characters of the recipe's name in a cousin's name; an underscore and six digits are appended."""
 
 Data = dict[str, Any]
 

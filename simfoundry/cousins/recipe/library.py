@@ -27,16 +27,15 @@ from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, Loaded
 from simfoundry.spec.load import load
 from simfoundry.spec.models.cousins import DistractorAxis, ValueRange
 
+# Version of the measured data; part of the cache key.
 VERSION = "library facts 2"
-"""Version of the measured data; part of the cache key."""
 
+# Assumed density [kg/m^3] of meshes, whose files do not specify a mass; solid household objects have densities around
+# that of water, and hollow ones float.
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
-"""Assumed density [kg/m^3] of meshes, whose files do not specify a mass; solid household objects have densities around
-that of water, and hollow ones float.
-"""
 
+# Generic file name stems that are ignored; the object is named after its folder instead.
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
-"""Generic file name stems that are ignored; the object is named after its folder instead."""
 
 
 @dataclass(frozen=True)
@@ -242,14 +241,13 @@ def volume(geometry: Any) -> float:
 
 
 KIND_OF_TWIN = "a category that the twin does not have"
+# Phrases that describe two of the filters in messages.
 SHAPE_OF_TWIN = "a category, or a shape that the twin does not have"
-"""Phrases that describe two of the filters in messages."""
 
+# Similarity thresholds for objects that neither a category nor their name identifies: the maximum ratio of side lengths
+# and the maximum shape distance (see :class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape, a pot
+# and a bowl by 0.08.
 LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
-"""Similarity thresholds for objects that neither a category nor their name identifies: the maximum ratio of side
-lengths and the maximum shape distance (see :class:`LikenessDistance`). The shipped cup and mug differ by 0.05 in shape,
-a pot and a bowl by 0.08.
-"""
 
 
 # -- filters -----------------------------------------------------------------------------------------------------------

@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     from simfoundry.cousins.layout.twin import Twin
     from simfoundry.cousins.tasks.proposals import TaskCousin
 
+# Version of the generated variants; increment it when the same twin, axis and seed produce different variants.
 VERSION = "variants/3"
-"""Version of the generated variants; increment it when the same twin, axis and seed produce different variants."""
 
+# Subfolder of the output folder for copied assets.
 ASSETS = "assets"
-"""Subfolder of the output folder for copied assets."""
 
 
 @dataclass(frozen=True)

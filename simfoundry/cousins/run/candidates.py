@@ -37,13 +37,12 @@ from simfoundry.scene.model import SceneObject
 from simfoundry.spec.check.scene import OF_LINKS
 from simfoundry.spec.files import is_document
 
+# Factory for the sampler that a worker calls for each candidate.
 FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
-"""Factory for the sampler that a worker calls for each candidate."""
 
+# Maximum number of prepared twins with replaced or added objects to keep in memory. Each takes about 10 MB; recipes
+# with few choices do not need more.
 KEPT_TWINS = 8
-"""Maximum number of prepared twins with replaced or added objects to keep in memory. Each takes about 10 MB; recipes
-with few choices do not need more.
-"""
 
 
 @dataclass(frozen=True)

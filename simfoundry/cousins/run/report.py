@@ -27,8 +27,8 @@ from simfoundry.scene.state import pose
 from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.yaml.text import parse
 
+# Format version of the manifest.
 VERSION = "cousins-run/1"
-"""Format version of the manifest."""
 
 
 def summary(plan: RunPlan, ledger: Ledger) -> dict[str, Any]:
@@ -103,8 +103,8 @@ def examples(ledger: Ledger) -> dict[str, str]:
     return {code: found[code] for code, _ in ledger.totals.most_common() if code in found}
 
 
+# Image width [px].
 WIDTH = 384
-"""Image width [px]."""
 
 
 def draw(file: Path) -> bytes | None:
@@ -134,8 +134,8 @@ def draw(file: Path) -> bytes | None:
 
 # -- USD stage ---------------------------------------------------------------------------------------------------------
 
+# Names of the variant set and of the variant that represents the twin.
 SET, TWIN = "cousin", "twin"
-"""Names of the variant set and of the variant that represents the twin."""
 
 _HEAD = """\
 #usda 1.0

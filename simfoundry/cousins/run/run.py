@@ -29,8 +29,8 @@ from simfoundry.runtime.files import write_atomically, writing_atomically
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.variant_pool import VariantCount
 
+# Subfolder of the output folder for a run's internal files.
 WORK = ".cousins"
-"""Subfolder of the output folder for a run's internal files."""
 
 WHOLE = "log.jsonl"
 
@@ -154,11 +154,11 @@ def _lock(handle: int, file: Path) -> None:
             ) from None
 
 
+# Minimum number of candidates to examine before a recipe can be judged too hard.
 PATIENCE = 200
-"""Minimum number of candidates to examine before a recipe can be judged too hard."""
 
+# Minimum acceptance rate, below which a recipe is judged too hard.
 LEAST_RATE = 0.005
-"""Minimum acceptance rate, below which a recipe is judged too hard."""
 
 
 class RunEnd(StrEnum):
@@ -263,16 +263,15 @@ class Ledger:
         return RunEnd.EXHAUSTED if self._is_beyond(self.next_index) else RunEnd.OPEN
 
 
+# Maximum number of candidates per worker to examine ahead of the first unexamined one; limits memory use and wasted
+# work.
 AHEAD = 32
-"""Maximum number of candidates per worker to examine ahead of the first unexamined one; limits memory use and wasted
-work.
-"""
 
+# File name of a run's final report in the output folder.
 MANIFEST = "manifest.json"
-"""File name of a run's final report in the output folder."""
 
+# Callback that receives the ledger after each candidate.
 Heard = Callable[[Ledger], None]
-"""Callback that receives the ledger after each candidate."""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.extras import install_line
 from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
+# Timeout for examining a candidate [s]; for the first candidate of a process, this includes starting the process.
 SILENCE_S = 600.0
-"""Timeout for examining a candidate [s]; for the first candidate of a process, this includes starting the process."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Work:
         return made
 
 
+# Sampler of this worker process, created for its first candidate; a worker process serves only one run.
 _SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
-"""Sampler of this worker process, created for its first candidate; a worker process serves only one run."""
 
 
 def line_of(work: Work, index: int) -> str:

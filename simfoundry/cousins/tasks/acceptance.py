@@ -19,8 +19,8 @@ from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.predicate import Call, ExpressionError, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
 
+# Maximum number of predicates in a goal.
 MOST_PREDICATES = 16
-"""Maximum number of predicates in a goal."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,25 +20,23 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parse_call, parts, texts
 
 QUARTER = math.pi / 2
+# Roll and pitch [rad] relative to an object's standing orientation: unchanged, lying on each of four sides, and upside
+# down.
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))
-"""Roll and pitch [rad] relative to an object's standing orientation: unchanged, lying on each of four sides, and upside
-down.
-"""
 
 YAWS = (0.0, QUARTER, QUARTER / 2)
+# Positions above a target to try in addition to the centers of the target and its cavity, as fractions of its extents.
+# They are the first six points of the Halton sequence with bases 2 and 3, which cover any rectangle evenly.
 SPREAD = np.array([(1 / 2, 1 / 3), (1 / 4, 2 / 3), (3 / 4, 1 / 9), (1 / 8, 4 / 9), (5 / 8, 7 / 9), (3 / 8, 2 / 9)])
-"""Positions above a target to try in addition to the centers of the target and its cavity, as fractions of its extents.
-They are the first six points of the Halton sequence with bases 2 and 3, which cover any rectangle evenly.
-"""
 
+# Displacement [m] up to which an object is considered unmoved, equal to the height tolerance of a level surface.
 STILL = 1e-3
-"""Displacement [m] up to which an object is considered unmoved, equal to the height tolerance of a level surface."""
 
+# Gaps between objects placed beside each other [m].
 GAPS = (0.02, 0.05, 0.1)
-"""Gaps between objects placed beside each other [m]."""
 
+# Sides to try, in this order, for an object that must be next to another object.
 AROUND = ("Behind", "InFrontOf", "LeftOf", "RightOf")
-"""Sides to try, in this order, for an object that must be next to another object."""
 
 
 def turns(setting: TaskContext, name: str) -> list[Array]:
@@ -148,14 +146,14 @@ def _beside(setting: TaskContext, call: Call, state: SceneState) -> Iterator[tup
         yield tuple((middle + far * way).tolist())
 
 
+# Symmetric predicates.
 SYMMETRIC = ("NextTo", "Touching")
-"""Symmetric predicates."""
 
+# Predicates that are equivalent to another predicate with its arguments swapped.
 MIRRORED = {"Under": "Above", "RightOf": "LeftOf", "InFrontOf": "Behind"}
-"""Predicates that are equivalent to another predicate with its arguments swapped."""
 
+# Predicates that already require the first argument to be released, so that `Released` is redundant.
 AT_REST = ("OnTop", "Inside")
-"""Predicates that already require the first argument to be released, so that `Released` is redundant."""
 
 Meaning = tuple[Any, ...]
 
@@ -236,5 +234,5 @@ def branches(condition: Any) -> list[list[Call]]:
     return ways
 
 
+# Maximum number of alternatives to try.
 MOST = 8
-"""Maximum number of alternatives to try."""

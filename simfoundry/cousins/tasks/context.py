@@ -33,24 +33,22 @@ if TYPE_CHECKING:
 
 UP = np.array([0.0, 0.0, 1.0])
 
+# Free distance required along the approach direction [m], enough for a hand and the wrist behind it (0.25 m for a
+# Panda).
 ROOM = 0.3
-"""Free distance required along the approach direction [m], enough for a hand and the wrist behind it (0.25 m for a
-Panda).
-"""
 
+# Height by which an object is lifted on its way in or out [m]; more than a board's sag or the height of its lip.
 LIFT = 0.01
-"""Height by which an object is lifted on its way in or out [m]; more than a board's sag or the height of its lip."""
 
+# Length of the fingers beyond the hand [m]; the shortest known fingers, a Panda's, are 0.045 m long.
 FINGERS = 0.04
-"""Length of the fingers beyond the hand [m]; the shortest known fingers, a Panda's, are 0.045 m long."""
 
+# Half extents of a hand across and along the finger motion [m]; a Panda's hand is 63 mm thick and 204 mm wide.
 HALF_THICK, HALF_WIDE = 0.035, 0.1
-"""Half extents of a hand across and along the finger motion [m]; a Panda's hand is 63 mm thick and 204 mm wide."""
 
+# Number of directions around an object, and the downward pitches of a side approach [rad]: horizontal, or inclined to
+# clear the board under a low object.
 TURNS, TILTS = 12, (0.0, math.radians(30.0))
-"""Number of directions around an object, and the downward pitches of a side approach [rad]: horizontal, or inclined to
-clear the board under a low object.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +99,8 @@ def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Appr
     return tuple(found)
 
 
+# The center of a top face and four points around it, as fractions of its half extents.
 _CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
-"""The center of a top face and four points around it, as fractions of its half extents."""
 
 
 def _outline(low: Array, high: Array, way: Array) -> list[Array]:
@@ -146,8 +144,8 @@ def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -
     return all(free_distance(shape, point, way) > ROOM for shape in obstacles for point in points)
 
 
+# Tolerance [m] on the finger opening, because openings are specified in whole millimeters.
 SLACK = 0.001
-"""Tolerance [m] on the finger opening, because openings are specified in whole millimeters."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,14 +27,14 @@ from simfoundry.spec.models.base import Origin
 from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
 from simfoundry.spec.yaml.write import to_yaml
 
+# Control steps allowed per task step: 30 s at 15 Hz, as in the paper's tasks.
 MINUTE_PART = 450
-"""Control steps allowed per task step: 30 s at 15 Hz, as in the paper's tasks."""
 
+# Maximum length of a name.
 NAME = 64
-"""Maximum length of a name."""
 
+# Maximum and minimum half extent of an object's start region [m]; if there is less free space, there is no region.
 REGION, LEAST = 0.02, 0.005
-"""Maximum and minimum half extent of an object's start region [m]; if there is less free space, there is no region."""
 
 
 def task(
@@ -139,8 +139,8 @@ def free_name(wanted: str, taken: set[str]) -> str:
     return name
 
 
+# Callback that receives the numbers of accepted and examined proposals.
 Progress = Callable[[int, int], None]
-"""Callback that receives the numbers of accepted and examined proposals."""
 
 
 @dataclass(frozen=True)

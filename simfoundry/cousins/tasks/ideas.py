@@ -15,18 +15,18 @@ from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
 from simfoundry.spec.models.predicate import Call, parts
 
+# Maximum number of objects to gather at one target.
 TOGETHER = 3
-"""Maximum number of objects to gather at one target."""
 
+# Maximum fraction of a target's area that several objects may occupy together.
 ROOM = 0.9
-"""Maximum fraction of a target's area that several objects may occupy together."""
 
 
+# Minimum depth and width of a container's cavity [m].
 HOLLOW = (0.025, 0.04)
-"""Minimum depth and width of a container's cavity [m]."""
 
+# Minimum width of a support [m].
 BROAD = 0.1
-"""Minimum width of a support [m]."""
 
 
 @dataclass(frozen=True)
@@ -255,11 +255,11 @@ def _moved(joint: str, word: str) -> IdeaStep:
     return IdeaStep(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
 
 
+# Phrases for predicates in instructions.
 WORDS = {
     "NextTo": "next to", "LeftOf": "left of", "RightOf": "right of", "InFrontOf": "in front of", "Behind": "behind",
     "Touching": "against", "Above": "above", "Under": "under", "OnTop": "on", "Inside": "in",
 }  # fmt: skip
-"""Phrases for predicates in instructions."""
 
 
 def step_of(call: Call) -> IdeaStep:

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from simfoundry.scene.state import SceneState
     from simfoundry.spec.models.scene import SceneSpec
 
+# Format of the model's response: typed, or the text format that the paper's prompt requests.
 Form = Literal["typed", "paper"]
-"""Format of the model's response: typed, or the text format that the paper's prompt requests."""
 
 
 def propose_tasks(
@@ -191,11 +191,11 @@ def _released(goal: Any) -> Any:
 
 
 MOST_TASKS = 200
+# Maximum number of characters of a response to parse; the rest is ignored.
 MOST_TEXT = 100_000
-"""Maximum number of characters of a response to parse; the rest is ignored."""
 
+# Separators between tasks, such as `--- Task 2`, and the code fences that models tend to put around YAML.
 _MARK = re.compile(r"^\s*-{3,}[^\n]*$|^\s*```[^\n]*$", re.MULTILINE)
-"""Separators between tasks, such as `--- Task 2`, and the code fences that models tend to put around YAML."""
 
 
 class AskedTask(BaseModel):

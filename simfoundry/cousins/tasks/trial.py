@@ -18,20 +18,19 @@ from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.models.scene import Place
 from simfoundry.worlds import open_world
 
+# Maximum penetration at rest [m]; objects wedged between the walls of another object exceed it.
 OVERLAP = 0.002
-"""Maximum penetration at rest [m]; objects wedged between the walls of another object exceed it."""
 
+# Maximum displacement [m] of all other objects while an object comes to rest.
 DISTURBED = 0.02
-"""Maximum displacement [m] of all other objects while an object comes to rest."""
 
 
+# Duration of the simulations in other engines [s] that test whether a state lasts.
 LASTS = 2.0
-"""Duration of the simulations in other engines [s] that test whether a state lasts."""
 
+# Offset [m] added to each placement, because hands are inexact; it prevents, for example, balancing balls on each
+# other.
 ASTRAY = (0.0023, 0.0017)
-"""Offset [m] added to each placement, because hands are inexact; it prevents, for example, balancing balls on each
-other.
-"""
 
 
 class Rest(NamedTuple):

@@ -28,26 +28,25 @@ from simfoundry.spec.models.predicate import Call, parts
 
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")
+# Predicates made true by placing their first argument.
 PUT = (*ON, *BESIDE, "At", "Upright")
-"""Predicates made true by placing their first argument."""
 
 JOINTS = ("Open", "Closed")
+# Predicates made true only by a hand holding the object.
 HELD = ("Grasped", "Lifted")
-"""Predicates made true only by a hand holding the object."""
 
+# Predicates allowed in a goal; `Released` may be combined with them.
 ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
-"""Predicates allowed in a goal; `Released` may be combined with them."""
 
+# Margin [m] by which a predicate may be violated at first contact, because the object may still satisfy it after
+# settling.
 NEAR = 0.03
-"""Margin [m] by which a predicate may be violated at first contact, because the object may still satisfy it after
-settling.
-"""
 
+# Number of simulations per object after which placing it is considered impossible.
 SETTLES = 6
-"""Number of simulations per object after which placing it is considered impossible."""
 
+# Number of orientations to try at each position after the first two.
 FEW = 3
-"""Number of orientations to try at each position after the first two."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,34 +23,33 @@ from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls, solid
 from simfoundry.scene.state import SceneState, object_at
 
+# Number of closing directions about the approach direction over half a turn; the flipped hand doubles this number.
 YAWS = 12
-"""Number of closing directions about the approach direction over half a turn; the flipped hand doubles this number."""
 
+# Maximum number of rays across the hand and along its approach direction.
 ACROSS, ALONG = 17, 12
-"""Maximum number of rays across the hand and along its approach direction."""
 
+# Minimum spacing of rays across the hand and along its approach direction [m].
 SPACING, FINE = 0.006, 0.0025
-"""Minimum spacing of rays across the hand and along its approach direction [m]."""
 
+# Number of best grasps to keep.
 MOST = 300
-"""Number of best grasps to keep."""
 
+# Minimum cosine of the angle between a finger's closing direction and the surface normal, to stay within the friction
+# cone.
 FACING = 0.92
-"""Minimum cosine of the angle between a finger's closing direction and the surface normal, to stay within the friction
-cone.
-"""
 
+# Clearance beside each finger during the approach [m].
 CLEARANCE = 0.004
-"""Clearance beside each finger during the approach [m]."""
 
+# Additional finger opening on each side of the object [m], if the gripper is wide enough.
 PRELOAD = 0.012
-"""Additional finger opening on each side of the object [m], if the gripper is wide enough."""
 
+# Minimum distance between the object and the tips of the pads [m].
 TIP = 0.005
-"""Minimum distance between the object and the tips of the pads [m]."""
 
+# Maximum difference between the spans of neighboring rays for which they count as a single contact surface [m].
 ALIKE = 0.004
-"""Maximum difference between the spans of neighboring rays for which they count as a single contact surface [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,28 +174,28 @@ def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
     return alike / len(around)
 
 
+# Number of rotations about the vertical axis to try.
 TURNS = 8
-"""Number of rotations about the vertical axis to try."""
 
+# Maximum number of positions along each side of the target, and their minimum spacing [m].
 GRID, GRID_SPACING = 7, 0.012
-"""Maximum number of positions along each side of the target, and their minimum spacing [m]."""
 
+# Minimum depth of an object's lowest point below the rim of a cavity [m].
 SUNK = 0.008
-"""Minimum depth of an object's lowest point below the rim of a cavity [m]."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
+# Number of placements of each kind that suffices, and maximum number of upended poses to try.
 ENOUGH, LOOKED_AT = 48, 400
-"""Number of placements of each kind that suffices, and maximum number of upended poses to try."""
 
+# Cost per meter of distance from the center [1/m].
 FAR = 10.0
-"""Cost per meter of distance from the center [1/m]."""
 
+# Minimum ratio of the two largest extents for an object to count as long; a long object may also be placed on end.
 LONG = 1.8
-"""Minimum ratio of the two largest extents for an object to count as long; a long object may also be placed on end."""
 
+# Tilt angles to try when a long object is placed in a cavity [rad].
 LEANS = (0.0, 0.3, 0.6)
-"""Tilt angles to try when a long object is placed in a cavity [rad]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,33 +17,31 @@ from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
+# A sequence of arm configurations, each with shape (n,) [rad or m].
 Path = list[Array]
-"""A sequence of arm configurations, each with shape (n,) [rad or m]."""
 
+# Position step between the configurations of a straight line [m].
 LINE = 0.015
-"""Position step between the configurations of a straight line [m]."""
 
+# Rotation step between the configurations of a straight line [rad].
 TURN = 0.1
-"""Rotation step between the configurations of a straight line [rad]."""
 
+# Maximum joint step between two configurations of a line [rad]; a larger step means that the IK solution jumped to
+# another branch.
 LEAP = 0.35
-"""Maximum joint step between two configurations of a line [rad]; a larger step means that the IK solution jumped to
-another branch.
-"""
 
+# Joint step at which paths are checked for collisions [rad].
 FINE = 0.08
-"""Joint step at which paths are checked for collisions [rad]."""
 
+# Minimum clearance for motions in free space [m].
 GAP = 0.004
-"""Minimum clearance for motions in free space [m]."""
 
+# Preferred clearance for motions in free space [m]; joints lag behind their targets by different amounts and cut
+# corners.
 WIDE = 0.02
-"""Preferred clearance for motions in free space [m]; joints lag behind their targets by different amounts and cut
-corners.
-"""
 
+# Maximum number of configurations in a search, and the step size of the search [rad].
 NODES, STRIDE = 1500, 0.3
-"""Maximum number of configurations in a search, and the step size of the search [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +139,8 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
     return Pose.of(a.p + share * (b.p - a.p), q)
 
 
+# Function that returns True if a configuration is free of collisions.
 Free = Callable[[Array], bool]
-"""Function that returns True if a configuration is free of collisions."""
 
 
 def _straight(a: Array, b: Array, free: Free) -> bool:
@@ -211,8 +209,8 @@ def _shortened(path: Path, free: Free, rng: np.random.Generator) -> Path:
     return path
 
 
+# Distance up to which collisions are detected [m].
 FAR = 0.03
-"""Distance up to which collisions are detected [m]."""
 
 
 class PlanningScene:

@@ -30,6 +30,8 @@ class Skill(StrEnum):
     CLOSE = "close"
 
 
+# The skill that makes each predicate true. Predicates that are not listed become true as a side effect of others
+# (Touching, Released, Upright) or depend on where objects happen to be.
 SKILLS = {
     "Grasped": Skill.PICK,
     "Lifted": Skill.PICK,
@@ -38,9 +40,6 @@ SKILLS = {
     "Open": Skill.OPEN,
     "Closed": Skill.CLOSE,
 }
-"""The skill that makes each predicate true. Predicates that are not listed become true as a side effect of others
-(Touching, Released, Upright) or depend on where objects happen to be.
-"""
 
 PUTS = (Skill.PUT_ON, Skill.PUT_IN)
 
@@ -89,14 +88,14 @@ def _of(condition: Condition) -> Iterator[ExpertStep]:
         yield from _of(below[0])
 
 
+# Number of actions per response; at 15 Hz this is a fifth of a second, so a lost grasp is noticed quickly.
 CHUNK = 3
-"""Number of actions per response; at 15 Hz this is a fifth of a second, so a lost grasp is noticed quickly."""
 
+# Maximum number of attempts per step.
 ATTEMPTS = 4
-"""Maximum number of attempts per step."""
 
+# Time to wait after a failure before the next observation [s].
 PAUSE = 1.0
-"""Time to wait after a failure before the next observation [s]."""
 
 
 class ExpertPolicy(Policy):

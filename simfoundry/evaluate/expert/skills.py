@@ -20,50 +20,50 @@ from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.worlds.rest import center_of_mass
 
+# Distance from a grasp at which the hand stops to observe [m].
 STANDOFF = 0.09
-"""Distance from a grasp at which the hand stops to observe [m]."""
 
+# Height by which an object is lifted before it is moved away [m].
 LIFT = 0.12
-"""Height by which an object is lifted before it is moved away [m]."""
 
+# Height above a placement at which the descent starts [m], so that an object clears the rim of a cup.
 ABOVE = 0.12
-"""Height above a placement at which the descent starts [m], so that an object clears the rim of a cup."""
 
+# Height above its placement at which an object is released [m].
 DROP = 0.006
-"""Height above its placement at which an object is released [m]."""
 
+# Additional closing command beyond contact, as a fraction of the finger travel; it makes the servo grip harder.
 SQUEEZE = 0.04
-"""Additional closing command beyond contact, as a fraction of the finger travel; it makes the servo grip harder."""
 
+# Distance by which each finger opens to release an object [m].
 RELEASE = 0.012
-"""Distance by which each finger opens to release an object [m]."""
 
+# Minimum clearance of a hand near the object that it grasps or releases [m].
 NARROW = 0.001
-"""Minimum clearance of a hand near the object that it grasps or releases [m]."""
 
+# Clearance of the hand at a placement chosen before grasping [m]; the object may slip slightly in the hand.
 SPARE = 0.012
-"""Clearance of the hand at a placement chosen before grasping [m]; the object may slip slightly in the hand."""
 
+# Maximum number of collision-free grasps to try with the arm, and of placements to try for each grasp.
 TRIES, CHECKED = 60, 6
-"""Maximum number of collision-free grasps to try with the arm, and of placements to try for each grasp."""
 
+# Maximum number of collision-free grasps of a handle to try with the arm.
 HANDLE_TRIES = 80
-"""Maximum number of collision-free grasps of a handle to try with the arm."""
 
+# Fractions of its range to which a joint is opened; the first reachable one is used.
 WIDE = (0.94, 0.75, 0.5)
-"""Fractions of its range to which a joint is opened; the first reachable one is used."""
 
+# Distance past its closed end to which a joint is moved [m or rad], so that it closes completely.
 BEYOND = 0.003
-"""Distance past its closed end to which a joint is moved [m or rad], so that it closes completely."""
 
+# Step between hand poses along the joint's motion [m or rad].
 STEP = 0.02
-"""Step between hand poses along the joint's motion [m or rad]."""
 
+# Maximum distance of handle geometry from the link's outermost point in the opening direction [m].
 OUTER = 0.02
-"""Maximum distance of handle geometry from the link's outermost point in the opening direction [m]."""
 
+# Downward pitch angles of a hand that approaches a handle from the front [rad].
 SLANTS = (0.0, 0.4, 0.8, 1.2)
-"""Downward pitch angles of a hand that approaches a handle from the front [rad]."""
 
 
 class GraspPlan(NamedTuple):

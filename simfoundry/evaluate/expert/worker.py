@@ -14,17 +14,17 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.arm import Arm, jaws
 from simfoundry.scene.model import Scene
 
+# Maximum joint speed [rad/s] and hand speed [m/s]: half of the limits of a Panda.
 JOINT, HAND = 1.1, 0.35
-"""Maximum joint speed [rad/s] and hand speed [m/s]: half of the limits of a Panda."""
 
+# Fraction of both speeds used on paths with corners; at full speed, servos with a lag of 0.1 s cut corners by 3 cm.
 AROUND = 0.4
-"""Fraction of both speeds used on paths with corners; at full speed, servos with a lag of 0.1 s cut corners by 3 cm."""
 
+# Maximum hand speed near objects [m/s].
 CAREFUL = 0.12
-"""Maximum hand speed near objects [m/s]."""
 
+# Time to accelerate from rest to full speed [s].
 RAMP = 0.35
-"""Time to accelerate from rest to full speed [s]."""
 
 
 def paced(
@@ -68,24 +68,22 @@ def _dense(path: Path) -> Array:
     return np.array(found)
 
 
+# A skill in progress; each ``yield`` ends a control step with the current commands.
 Script = Generator[None, None, None]
-"""A skill in progress; each ``yield`` ends a control step with the current commands."""
 
+# Displacement of a held object within the hand between two observations above which it counts as lost [m]; slow creep
+# is allowed.
 LOST = 0.03
-"""Displacement of a held object within the hand between two observations above which it counts as lost [m]; slow creep
-is allowed.
-"""
 
+# Position tolerance within which a joint has reached its target [rad].
 ARRIVED = 0.003
-"""Position tolerance within which a joint has reached its target [rad]."""
 
+# Maximum number of control steps to wait for an arm to reach its target.
 PATIENCE = 12
-"""Maximum number of control steps to wait for an arm to reach its target."""
 
+# Fraction of a resting arm's position error that is added to its targets in each update, and the limit on the total
+# [rad]. This compensates for servo sag.
 CORRECTION, MOST = 0.6, 0.05
-"""Fraction of a resting arm's position error that is added to its targets in each update, and the limit on the total
-[rad]. This compensates for servo sag.
-"""
 
 
 class FailedError(Exception):

@@ -19,8 +19,8 @@ from simfoundry.scene.state import SceneState
 if TYPE_CHECKING:
     from simfoundry.worlds.base import WorldRobot
 
+# A color image, shape (height, width, 3).
 Image = NDArray[np.uint8]
-"""A color image, shape (height, width, 3)."""
 
 
 class ActionSpace(StrEnum):

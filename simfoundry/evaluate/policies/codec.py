@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+# Accepted kinds of NumPy types: floats, integers and booleans.
 PLAIN = "fiub"
-"""Accepted kinds of NumPy types: floats, integers and booleans."""
 MAX_DIMENSIONS = 8
 
 
@@ -114,8 +114,8 @@ def _map_to_array(found: dict[Any, Any]) -> Any:
     return found
 
 
+# Maximum size of the header of a NumPy file [bytes].
 HEADER = 10_000
-"""Maximum size of the header of a NumPy file [bytes]."""
 
 
 def _array_to_npy_map(value: Any) -> Any:
@@ -167,7 +167,7 @@ def from_npy(data: Any) -> np.ndarray[Any, Any]:
     return array_of(data[start + length :], type_of(kind), shape, "F" if columns is True else "C")
 
 
+# The codec for messages of openpi, RoboArena and DreamZero.
 OPENPI_CODEC = Codec(_array_to_map, _map_to_array)
-"""The codec for messages of openpi, RoboArena and DreamZero."""
+# The codec for messages of GR00T; a modality is decoded to the mapping in its JSON.
 GROOT_CODEC = Codec(_array_to_npy_map, _npy_map_to_value)
-"""The codec for messages of GR00T; a modality is decoded to the mapping in its JSON."""

@@ -25,11 +25,11 @@ from simfoundry.evaluate.policies.remote import (
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
+# Upper limit on the number of keys and time steps, above that of any known policy.
 MANY = 64
-"""Upper limit on the number of keys and time steps, above that of any known policy."""
 
+# The rotation of DROID's hand in GR00T's convention, relative to the hand frame.
 DROID_HAND = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""The rotation of DROID's hand in GR00T's convention, relative to the hand frame."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,10 @@ def eef_9d(X_BH: Pose) -> Array:
     return np.concatenate([X_BH.p, rotation[0], rotation[1]])
 
 
+# The maximum size of a response [bytes]; ZeroMQ disconnects if a response is larger.
 LARGEST = 64 * 2**20
-"""The maximum size of a response [bytes]; ZeroMQ disconnects if a response is larger."""
+# The timeout for the response to a ping [s].
 PING_S = 5.0
-"""The timeout for the response to a ping [s]."""
 
 
 class Requests(ServerConnection):
@@ -199,12 +199,11 @@ def _event(monitor: Any) -> int:
     return int.from_bytes(monitor.recv_multipart()[0][:2], sys.byteorder)
 
 
+# Mapping from the server's names for parts of the robot state to those of a policy document; ``eef_9d`` is handled
+# separately.
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
-"""Mapping from the server's names for parts of the robot state to those of a policy document; ``eef_9d`` is handled
-separately.
-"""
+# Parts of a response that are executed.
 ACTION = ("joint_position", "gripper_position")
-"""Parts of a response that are executed."""
 
 
 class GrootPolicy(RemotePolicy):

@@ -20,10 +20,10 @@ from simfoundry.evaluate.policies.base import (
 )
 from simfoundry.geometry.frames import Array
 
+# Maximum joint motion per control step in either direction [rad or m]; equals 1.5 rad/s at 15 Hz.
 STEP = 0.1
-"""Maximum joint motion per control step in either direction [rad or m]; equals 1.5 rad/s at 15 Hz."""
+# Number of actions per request, the same as for the policies in the paper.
 HORIZON = 8
-"""Number of actions per request, the same as for the policies in the paper."""
 
 
 class RandomPolicy(Policy):
@@ -52,8 +52,8 @@ class RandomPolicy(Policy):
         return np.concatenate(columns, axis=1) if columns else np.zeros((HORIZON, 0))
 
 
+# Maximum size of a recording [bytes].
 LARGEST = 256 * 2**20
-"""Maximum size of a recording [bytes]."""
 
 
 class ReplayPolicy(Policy):

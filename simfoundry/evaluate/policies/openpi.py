@@ -17,8 +17,8 @@ from simfoundry.evaluate.policies.remote import RemotePolicy, droid_cameras, pic
 from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
+# Keys of the robot state in DROID policies.
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
-"""Keys of the robot state in DROID policies."""
 
 
 class OpenpiPolicy(RemotePolicy):
@@ -70,8 +70,8 @@ OPENPI = PolicyProtocol(
 )
 
 
+# The text with which a server confirms that it has reset its rollout state.
 RESET_DONE = "reset successful"
-"""The text with which a server confirms that it has reset its rollout state."""
 
 
 class RoboarenaPolicy(OpenpiPolicy):

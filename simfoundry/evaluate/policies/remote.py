@@ -40,8 +40,8 @@ def needed(module: str, what: str, install: str = f"install with `{install_line(
         raise PolicyError(f"{what} needs the package `{absent.partition('.')[0]}`; {install}") from None
 
 
+# Maximum number of error messages to keep; any others are only counted, so that reports stay short.
 KEPT = 100
-"""Maximum number of error messages to keep; any others are only counted, so that reports stay short."""
 
 
 @dataclass
@@ -122,8 +122,8 @@ def state(spec: PolicySpec, default: Mapping[str, str], observation: Observation
     return {key: reading(what, observation.robots, spec.gripper).astype(np.float32) for key, what in wanted.items()}
 
 
+# Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by servers in short form.
 DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
-"""Cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), used by servers in short form."""
 
 
 def droid_cameras(

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
     from websockets.sync.server import Server, ServerConnection
 
+# Maximum size of a request [bytes].
 LARGEST = 256 * 2**20
-"""Maximum size of a request [bytes]."""
 
+# Function that maps an observation to a response with ``actions``, shape (steps, action size).
 Infer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""Function that maps an observation to a response with ``actions``, shape (steps, action size)."""
 
 
 def serve(infer: Infer, metadata: Mapping[str, Any], host: str = "127.0.0.1", port: int = 8000) -> Server:

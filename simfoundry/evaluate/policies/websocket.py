@@ -22,14 +22,13 @@ from simfoundry.spec.models.policy import PolicySpec
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
+# Maximum size of a response [bytes]; a chunk of actions takes only a few thousand.
 LARGEST = 16 * 2**20
-"""Maximum size of a response [bytes]; a chunk of actions takes only a few thousand."""
+# Interval and timeout of keep-alive pings [s]. A server that is compiling its model does not respond to pings for
+# minutes, and the default timeout of websockets would close the connection.
 PING_S, PONG_S = 60.0, 600.0
-"""Interval and timeout of keep-alive pings [s]. A server that is compiling its model does not respond to pings for
-minutes, and the default timeout of websockets would close the connection.
-"""
+# Initial and maximum delay between two connection attempts [s]; the delay doubles after each attempt.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
-"""Initial and maximum delay between two connection attempts [s]; the delay doubles after each attempt."""
 
 
 class LostError(Exception):

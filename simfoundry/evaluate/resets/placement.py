@@ -19,8 +19,8 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import is_ball, simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
+# The indices of a grid cell along x and y, counted from 0.
 GridCell = tuple[int, int]
-"""The indices of a grid cell along x and y, counted from 0."""
 
 
 def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
@@ -64,26 +64,23 @@ def _generator(seed: int, name: str, *more: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode()), *more])
 
 
+# Settling limits for initial states: half the displacement allowed for scenes, a tilt of 5 deg, an overlap of 1 mm, and
+# an unchanged support.
 SETTLING = SettleOptions(max_drift_m=0.01)
-"""Settling limits for initial states: half the displacement allowed for scenes, a tilt of 5 deg, an overlap of 1 mm,
-and an unchanged support.
-"""
 
+# Maximum overlap [m] between an object and its support before settling; settling removes it within a few steps.
 OVERLAP = 1e-3
-"""Maximum overlap [m] between an object and its support before settling; settling removes it within a few steps."""
 
+# Maximum distance [m] between a settled object and its cell, which allows for rounding errors but not for sliding.
 AGREES = 1e-4
-"""Maximum distance [m] between a settled object and its cell, which allows for rounding errors but not for sliding."""
 
+# Number of decimals to which settled positions [m] and quaternions are rounded, so that different engine versions
+# settle to the same initial state.
 DIGITS = 5
-"""Number of decimals to which settled positions [m] and quaternions are rounded, so that different engine versions
-settle to the same initial state.
-"""
 
+# The criterion for an initial state to be at rest: the duration [s], and the maximum translation [m] and rotation [deg]
+# within it. Balls may rotate.
 STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
-"""The criterion for an initial state to be at rest: the duration [s], and the maximum translation [m] and rotation
-[deg] within it. Balls may rotate.
-"""
 
 
 @dataclass(frozen=True)
@@ -104,8 +101,8 @@ class Refusal:
     other: str = ""
 
 
+# The placement of each object: x, y [m] and the rotation about z [deg] relative to the pose in the scene.
 Spots = Mapping[str, tuple[float, float, float]]
-"""The placement of each object: x, y [m] and the rotation about z [deg] relative to the pose in the scene."""
 
 
 def placed(task: Task, spots: Spots) -> SceneState:

@@ -46,11 +46,11 @@ from simfoundry.spec.models.predicate import Condition
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
+# Cache version; increment it when the same task and seed would produce different initial states.
 VERSION = "starts/1"
-"""Cache version; increment it when the same task and seed would produce different initial states."""
 
+# The cells of each object in all initial states of a block, and the states that were already found.
 Known = tuple[dict[str, list[GridCell]], list[SceneState]]
-"""The cells of each object in all initial states of a block, and the states that were already found."""
 
 
 def key_of_starts(task: Task, seed: int) -> str:
@@ -113,14 +113,14 @@ def _pose(numbers: list[float]) -> Pose:
     return Pose(frozen_array(numbers[:3], (3,)), frozen_array(numbers[3:7], (4,)))
 
 
+# Number of attempts to place objects in their cells, and number of attempts for each exchange of cells.
 TRIES, TRIES_ELSEWHERE = 20, 5
-"""Number of attempts to place objects in their cells, and number of attempts for each exchange of cells."""
 
+# Number of failures, other than conflicts between the cells of two objects, after which the search stops.
 HOPELESS = 6
-"""Number of failures, other than conflicts between the cells of two objects, after which the search stops."""
 
+# Callback that receives the number of initial states found and the total number.
 Progress = Callable[[int, int], None]
-"""Callback that receives the number of initial states found and the total number."""
 
 
 @dataclass(frozen=True, eq=False)

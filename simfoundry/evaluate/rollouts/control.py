@@ -52,10 +52,9 @@ def pictures(world: World, cameras: Mapping[str, ImageSize]) -> dict[str, Image]
     return {name: np.asarray(world.render(name, size.width, size.height)) for name, size in cameras.items()}
 
 
+# Maximum distance between a joint and its target when velocities are integrated [rad or m]; equals DROID's largest
+# step.
 FARTHEST = 0.2
-"""Maximum distance between a joint and its target when velocities are integrated [rad or m]; equals DROID's largest
-step.
-"""
 
 
 def physics_steps(step: int, control_hz: float, timestep: float) -> int:

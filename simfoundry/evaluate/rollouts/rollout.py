@@ -41,10 +41,9 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import parse_call, texts
 from simfoundry.worlds.base import World, WorldRobot
 
+# Number of consecutive control steps (0.2 s at 15 Hz) for which the goal must be true, so that states in which it holds
+# only momentarily do not count.
 HOLD = 3
-"""Number of consecutive control steps (0.2 s at 15 Hz) for which the goal must be true, so that states in which it
-holds only momentarily do not count.
-"""
 
 
 class Progress:
@@ -94,10 +93,9 @@ class Progress:
         return dict(self.done)
 
 
+# Distance [m] below the lowest point of the initial scene at which an object counts as fallen; it is less than the
+# height of a table.
 FALLEN = 0.3
-"""Distance [m] below the lowest point of the initial scene at which an object counts as fallen; it is less than the
-height of a table.
-"""
 
 
 class RolloutEnd(StrEnum):

@@ -14,10 +14,9 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize
 from simfoundry.runtime.files import write_atomically
 
+# The height of a video and the maximum width per camera [px]. At this size, a page with 25 rollouts stays below 10 MB,
+# and images of up to 640 pixels render quickly.
 HEIGHT, WIDEST = 240, 640
-"""The height of a video and the maximum width per camera [px]. At this size, a page with 25 rollouts stays below 10 MB,
-and images of up to 640 pixels render quickly.
-"""
 
 
 def whole_picture(width: int, height: int) -> ImageSize:

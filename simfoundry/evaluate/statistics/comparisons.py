@@ -116,16 +116,14 @@ def _progress(record: Record) -> float:
     return sum(step is not None for step in done.values()) / len(done)
 
 
+# Threshold on the difference in successes, as a fraction of the initial states, above which engines disagree. It equals
+# 2 of the 25 rollouts in the paper's protocol: rollouts whose contacts differ by rounding errors can end differently
+# (docs/evaluation.md).
 APART = 2 / 25
-"""Threshold on the difference in successes, as a fraction of the initial states, above which engines disagree. It
-equals 2 of the 25 rollouts in the paper's protocol: rollouts whose contacts differ by rounding errors can end
-differently (docs/evaluation.md).
-"""
 
+# Maximum difference in the number of successes that is attributed to chance, regardless of the number of initial
+# states.
 CHANCE = 1
-"""Maximum difference in the number of successes that is attributed to chance, regardless of the number of initial
-states.
-"""
 
 
 @dataclass(frozen=True)

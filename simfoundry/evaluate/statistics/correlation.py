@@ -22,8 +22,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.statistics.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson
 from simfoundry.geometry.frames import Array
 
+# The maximum size of a table [bytes].
 MOST_BYTES = 32 * 2**20
-"""The maximum size of a table [bytes]."""
 
 
 class ScoresError(SimfoundryError):
@@ -153,8 +153,8 @@ def _number(place: str, row: Mapping[str, Any], key: str) -> float | None:
 
 Interval = tuple[float, float]
 
+# Number of draws per batch. MMRV compares all pairs of policies in each draw, which takes 80 MB for 100 policies.
 BLOCK = 1000
-"""Number of draws per batch. MMRV compares all pairs of policies in each draw, which takes 80 MB for 100 policies."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array
 
+# The two-sided 95 % quantile of the standard normal distribution, which leaves 2.5 % in each tail.
 Z_95 = 1.959963984540054
-"""The two-sided 95 % quantile of the standard normal distribution, which leaves 2.5 % in each tail."""
 
 
 def pearson(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float | None:
@@ -134,13 +134,12 @@ def mcnemar(first_only: int, second_only: int) -> float:
     return float(min(1.0, 2 * tail / 2**n))
 
 
+# The maximum number of nonzero differences for which all sign changes are enumerated: 2^16 take about 10 ms. Beyond
+# that, sign changes are sampled.
 EXACT_FLIPS = 16
-"""The maximum number of nonzero differences for which all sign changes are enumerated: 2^16 take about 10 ms. Beyond
-that, sign changes are sampled.
-"""
 
+# The number of sampled sign changes; with this many, the standard error at p = 0.05 is 0.0015.
 DRAWN_FLIPS = 20_000
-"""The number of sampled sign changes; with this many, the standard error at p = 0.05 is 0.0015."""
 
 
 def sign_flip(differences: Sequence[float], seed: int = 0) -> float:

@@ -152,10 +152,9 @@ def stratum_of(record: Record) -> str:
 
 VERSION = "results/2"
 
+# The maximum number of tasks whose steps are listed in tables; listing four rows for each of a hundred cousins would be
+# too much.
 MANY = 12
-"""The maximum number of tasks whose steps are listed in tables; listing four rows for each of a hundred cousins would
-be too much.
-"""
 
 
 @dataclass(frozen=True)

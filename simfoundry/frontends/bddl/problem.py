@@ -141,11 +141,11 @@ def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | N
     return numbers
 
 
+# Maximum file size [bytes]; the largest problem in BEHAVIOR-1K has 20 kB.
 MAX_BYTES = 4 * 2**20
-"""Maximum file size [bytes]; the largest problem in BEHAVIOR-1K has 20 kB."""
 
+# Maximum nesting depth; real problems use about a tenth of it.
 MAX_DEPTH = 64
-"""Maximum nesting depth; real problems use about a tenth of it."""
 
 _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
@@ -224,14 +224,14 @@ def read_group(path: Path) -> BddlGroup:
     return whole
 
 
+# Maximum number of predicates in an expanded goal, because quantifiers over many objects grow combinatorially.
 MOST_TERMS = 20_000
-"""Maximum number of predicates in an expanded goal, because quantifiers over many objects grow combinatorially."""
 
+# A condition as in a document: a predicate, or a mapping with the key `all`, `any` or `not`.
 Condition = Any
-"""A condition as in a document: a predicate, or a mapping with the key `all`, `any` or `not`."""
 
+# The objects bound to variables, by variable name.
 Scope = Mapping[str, str]
-"""The objects bound to variables, by variable name."""
 
 
 @dataclass

@@ -19,11 +19,11 @@ from simfoundry.frontends.mjcf.elements import read_camera, split_color
 from simfoundry.frontends.mjcf.geoms import MjcfSource
 from simfoundry.geometry.frames import Pose
 
+# Name prefix of visual geoms that belong to the background.
 BACKGROUND = ":background:"
-"""Name prefix of visual geoms that belong to the background."""
 
+# Name suffixes of custom texts: ``ROBOT`` texts contain robot fields, and ``MOUNT`` texts a camera's parent frame.
 ROBOT, MOUNT = ":robot", ":mount"
-"""Name suffixes of custom texts: ``ROBOT`` texts contain robot fields, and ``MOUNT`` texts a camera's parent frame."""
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.asset import DriveSpec
 
+# Default image size of a camera [px], which is the size of MuJoCo's offscreen buffer.
 PICTURE = (640, 480)
-"""Default image size of a camera [px], which is the size of MuJoCo's offscreen buffer."""
 
+# Maximum number of geom pairs to compare for contact masks, which takes a few seconds.
 MAX_PAIRS = 2_000_000
-"""Maximum number of geom pairs to compare for contact masks, which takes a few seconds."""
 
 
 def add_elements(source: MjcfSource, roots: list[Element]) -> None:

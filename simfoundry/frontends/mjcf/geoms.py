@@ -50,11 +50,11 @@ class MjcfSource:
         return f"`{name}`" if name else f"number {number + 1}"
 
 
+# First geom group that MuJoCo's viewers hide by default; geoms in this group or above are for contact only.
 HIDDEN_GROUP = 3
-"""First geom group that MuJoCo's viewers hide by default; geoms in this group or above are for contact only."""
 
+# Default color of a geom in MuJoCo.
 UNSET = (0.5, 0.5, 0.5, 1.0)
-"""Default color of a geom in MuJoCo."""
 
 
 class MjcfGeoms:

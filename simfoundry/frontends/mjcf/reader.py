@@ -20,9 +20,10 @@ from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms, MjcfSource
 from simfoundry.geometry.frames import Pose
 
+# Maximum number of included files, which stops infinite chains; public models include at most a tenth of that.
 MAX_INCLUDES = 100
-"""Maximum number of included files, which stops infinite chains; public models include at most a tenth of that."""
 
+# Model fields that the importer reads and that must be finite; MuJoCo accepts NaN in most of them.
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
     "geom_size", "geom_user", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos",
@@ -32,16 +33,15 @@ _NUMBERS = (
     "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
     "light_diffuse", "light_cutoff",
 )  # fmt: skip
-"""Model fields that the importer reads and that must be finite; MuJoCo accepts NaN in most of them."""
 
+# Element kinds by field prefix, for prefixes that differ from the name of the kind.
 _KINDS = {"jnt": "joint", "mat": "material", "cam": "camera"}
-"""Element kinds by field prefix, for prefixes that differ from the name of the kind."""
 
+# Minimum length of vectors with a direction; MuJoCo normalizes all longer vectors.
 NO_LENGTH = 1e-9
-"""Minimum length of vectors with a direction; MuJoCo normalizes all longer vectors."""
 
+# Products of inertia below this fraction of the trace are rounding noise from rotating the axes.
 NOISE = 1e-12
-"""Products of inertia below this fraction of the trace are rounding noise from rotating the axes."""
 
 
 def read_mjcf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:

@@ -29,14 +29,14 @@ from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
+# Size [m] of the box whose top represents the ground plane; it is larger than a robot's reach.
 TABLE = (4.0, 4.0, 0.04)
-"""Size [m] of the box whose top represents the ground plane; it is larger than a robot's reach."""
 
+# Known robots, by the names of the corresponding robots in the release.
 ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM": "yam"}
-"""Known robots, by the names of the corresponding robots in the release."""
 
+# Number of parent folders to search for assets; scenes are four levels below the root of the release.
 LEVELS = 5
-"""Number of parent folders to search for assets; scenes are four levels below the root of the release."""
 
 
 def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:

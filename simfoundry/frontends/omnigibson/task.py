@@ -23,11 +23,11 @@ BINARY = {
 UNARY = {"Lifted": "Lifted", "IsGrasping": "Grasped"}
 AGENTS = ("agent", "robot", "robot0")
 
+# Control frequency [Hz] of the release's evaluation, which its task files do not specify.
 CONTROL_HZ = 15.0
-"""Control frequency [Hz] of the release's evaluation, which its task files do not specify."""
 
+# Default number of steps of a task in the release.
 HORIZON = 1000
-"""Default number of steps of a task in the release."""
 
 _DROPPED = {
     "robot_pose": "the scene specifies robots",

@@ -23,17 +23,16 @@ from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
+# Start of notes to omit because they apply to every compiled file.
+#
+# URDF requires the limits, and the mesh files also refer to the textures.
 _ALWAYS_THERE = ("effort limit", "velocity limit", "texture that the URDF")
-"""Start of notes to omit because they apply to every compiled file.
 
-URDF requires the limits, and the mesh files also refer to the textures.
-"""
-
+# Name suffixes of the three pieces that represent a capsule, which URDF does not support.
 TUBE, TOP, BOTTOM = "_tube", "_top", "_bottom"
-"""Name suffixes of the three pieces that represent a capsule, which URDF does not support."""
 
+# Tolerance [m] for equal positions; allows for rounding in the file.
 SAME_PLACE_M = 1e-9
-"""Tolerance [m] for equal positions; allows for rounding in the file."""
 
 
 def is_poses(path: Path) -> bool:

@@ -33,25 +33,25 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Mimic
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
+# Minimum length of an axis; shorter axes have no meaningful direction.
 LEAST_AXIS = 1e-9
-"""Minimum length of an axis; shorter axes have no meaningful direction."""
 
+# Tolerance for comparing elements of transforms; allows for rounding.
 SAME_POSE = 1e-12
-"""Tolerance for comparing elements of transforms; allows for rounding."""
 
+# Contact parameters in documents, by the corresponding child element of Bullet's `<contact>`.
 CONTACT = {
     "lateral_friction": "friction", "restitution": "restitution", "spinning_friction": "torsional_friction",
     "rolling_friction": "rolling_friction",
 }  # fmt: skip
-"""Contact parameters in documents, by the corresponding child element of Bullet's `<contact>`."""
 
+# Supported child elements by parent element; all others are counted and reported.
 _READ = {
     "robot": ("link", "joint", "material"),
     "joint": ("origin", "axis", "limit", "dynamics", "mimic", "parent", "child", "joint_properties"),
     "link": ("inertial", "visual", "collision", "contact", "joint_properties"),
     "contact": (*CONTACT, "inertia_scaling", "joint_properties"),
 }
-"""Supported child elements by parent element; all others are counted and reported."""
 
 
 def read_urdf(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:

@@ -14,21 +14,21 @@ from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
+# Relative tolerance for equal scales, which stages store in single precision.
 EVEN_SCALE = 1e-6
-"""Relative tolerance for equal scales, which stages store in single precision."""
 
+# Maximum dot product of orthogonal unit axes; allows for single precision after a few transforms.
 ORTHOGONAL = 1e-5
-"""Maximum dot product of orthogonal unit axes; allows for single precision after a few transforms."""
 
+# Names of texture coordinates in files from OpenUSD, Blender, and older exporters.
 COORDINATES = ("st", "UVMap", "st0", "uv")
-"""Names of texture coordinates in files from OpenUSD, Blender, and older exporters."""
 
+# Rotations that map the z axis to each axis.
 AXES = {
     "X": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
     "Y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "Z": np.eye(3),
 }
-"""Rotations that map the z axis to each axis."""
 
 
 class UsdGprims:

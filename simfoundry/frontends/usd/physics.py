@@ -19,17 +19,16 @@ from simfoundry.spec.models.asset import DriveSpec
 
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 
+# Minimum magnitude of limits and forces that are treated as infinite.
+#
+# USD files often contain a large single-precision number instead of infinity.
 INFINITE = 1e30
-"""Minimum magnitude of limits and forces that are treated as infinite.
 
-USD files often contain a large single-precision number instead of infinity.
-"""
-
+# Quaternions shorter than this are treated as missing; newer USD versions write zero for a missing rotation.
 NO_LENGTH = 1e-9
-"""Quaternions shorter than this are treated as missing; newer USD versions write zero for a missing rotation."""
 
+# One end of a joint: the body's path, the pose of the joint's target in the body frame, and the target's scale.
 JointEnd = tuple[str, Pose, Array]
-"""One end of a joint: the body's path, the pose of the joint's target in the body frame, and the target's scale."""
 
 _FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
 _ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
@@ -204,8 +203,8 @@ def _first(prim: Any, names: tuple[str, ...]) -> float:
     return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)
 
 
+# Products of inertia below this fraction of the trace are single-precision noise from rotating the axes.
 NOISE = 1e-9
-"""Products of inertia below this fraction of the trace are single-precision noise from rotating the axes."""
 
 
 @dataclass

@@ -22,16 +22,16 @@ from simfoundry.frontends.usd.physics import UsdBody, UsdJoint, add_mass, read_j
 from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
+# Path that represents the world, for use where a body path is expected.
 WORLD = ""
-"""Path that represents the world, for use where a body path is expected."""
 
+# Prim types that have no content of their own or are read together with other prims.
 _EXPECTED = (
     "Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset", "NodeGraph", "PhysicsCollisionGroup", "",
 )  # fmt: skip
-"""Prim types that have no content of their own or are read together with other prims."""
 
+# Joint positions [m or rad] below this are treated as rounding errors and set to zero.
 AT_ZERO = 1e-5
-"""Joint positions [m or rad] below this are treated as rounding errors and set to zero."""
 
 
 def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:

@@ -12,14 +12,14 @@ from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, Model
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.scene.model import LightType
 
+# Image width of cameras [px], as in MuJoCo by default; USD specifies only the aspect ratio.
 WIDTH = 640
-"""Image width of cameras [px], as in MuJoCo by default; USD specifies only the aspect ratio."""
 
+# Light types by UsdLux prim type; :data:`FULL` contains the intensity at which each fully lights a white surface.
 LIGHTS = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
-"""Light types by UsdLux prim type; :data:`FULL` contains the intensity at which each fully lights a white surface."""
 
+# Intensity above which a light is assumed to be meant for a camera with exposure; Omniverse uses thousands.
 BRIGHTEST = 20.0
-"""Intensity above which a light is assumed to be meant for a camera with exposure; Omniverse uses thousands."""
 
 Matrix = Callable[[Any], Array]
 Mounts = dict[str, tuple[BodyDraft, str, Pose]]

@@ -24,11 +24,11 @@ from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.predicates.judging.view import Balls, View
 
+# Distance [m] beyond which values are only lower bounds.
 FAR = 0.05
-"""Distance [m] beyond which values are only lower bounds."""
 
+# Minimum cosine between the vertical and the push of a wall for the push to contribute to the support of an object.
 FLATTEST = math.cos(math.radians(80.0))
-"""Minimum cosine between the vertical and the push of a wall for the push to contribute to the support of an object."""
 
 
 class Distances:

@@ -14,8 +14,8 @@ from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
 from simfoundry.predicates.judging.view import StateBatch, View
 from simfoundry.scene.robot import Gripper, mujoco_model
 
+# Minimum motion [m] for a link to count as a finger when the gripper closes.
 STILL = 0.001
-"""Minimum motion [m] for a link to count as a finger when the gripper closes."""
 
 
 @dataclass(frozen=True, eq=False)

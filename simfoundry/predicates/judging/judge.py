@@ -21,8 +21,8 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.predicate import Call, parse_call, parts
 
+# Function that explains a term, given its value and whether it holds; the explanation may be empty.
 Explain = Callable[[float, bool], str]
-"""Function that explains a term, given its value and whether it holds; the explanation may be empty."""
 
 
 class Context:
@@ -120,8 +120,8 @@ class Terms:
         return "; ".join(text for term in failed or known if (text := term.text(k)))
 
 
+# Number of states evaluated at once, chosen so that their arrays fit in the processor's cache.
 CHUNK = 4096
-"""Number of states evaluated at once, chosen so that their arrays fit in the processor's cache."""
 
 
 class Verdict(NamedTuple):

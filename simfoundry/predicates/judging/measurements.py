@@ -85,8 +85,8 @@ def _beside(view: View, points: Array, b: Entity) -> Array:
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
 
 
+# Number of points sampled in an object to measure its depth in a cavity.
 SAMPLES = 64
-"""Number of points sampled in an object to measure its depth in a cavity."""
 
 
 def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:

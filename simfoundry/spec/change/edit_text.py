@@ -144,8 +144,8 @@ def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
         yield event
 
 
+# Replacement of [start, end) of a text by a new text.
 Splice = tuple[int, int, str]
-"""Replacement of [start, end) of a text by a new text."""
 
 
 @dataclass

@@ -114,15 +114,14 @@ class Migration:
     change: Callable[[YamlTree], YamlTree]
 
 
+# Migration for each older kind and version, such as ``scene/1``.
+#
+# All kinds are still at version 1, so no migrations exist yet. Add a migration for each change that alters the meaning
+# of older files. A renamed key does not need a migration, because its field records the former key (``FormerKey``).
 STEPS: Mapping[str, Migration] = {}
-"""Migration for each older kind and version, such as ``scene/1``.
 
-All kinds are still at version 1, so no migrations exist yet. Add a migration for each change that alters the meaning of
-older files. A renamed key does not need a migration, because its field records the former key (``FormerKey``).
-"""
-
+# Characters that the parser treats as line breaks.
 _LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-"""Characters that the parser treats as line breaks."""
 
 
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:

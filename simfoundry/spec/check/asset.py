@@ -50,8 +50,8 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         check_pair(c, pair, k, seen)
 
 
+# Maximum depth of the link tree, because XML readers and simulators traverse chains recursively.
 MAX_CHAIN = 200
-"""Maximum depth of the link tree, because XML readers and simulators traverse chains recursively."""
 
 
 def _tree(c: Checker, spec: AssetSpec) -> None:

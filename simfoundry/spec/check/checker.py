@@ -27,8 +27,8 @@ from simfoundry.spec.models.base import (
 from simfoundry.spec.yaml.text import Document
 
 Path_ = tuple[str | int, ...]
+# Function that reads and checks a document of one of the given kinds; it returns None for other kinds.
 Use = Callable[[Path, tuple[str, ...]], Loaded | None]
-"""Function that reads and checks a document of one of the given kinds; it returns None for other kinds."""
 
 
 class Checker:
@@ -139,8 +139,8 @@ class Checker:
                 self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")
 
 
+# Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity.
 LIGHTEST, HEAVIEST = 5.0, 23_000.0
-"""Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity."""
 
 
 def implausible(density: float) -> str:

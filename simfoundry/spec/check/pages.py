@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+# Folder of the Markdown pages, one for each code.
 FOLDER = Path(__file__).parent / "findings"
-"""Folder of the Markdown pages, one for each code."""
 
+# Titles of the groups of codes by prefix, in the order in which a document is checked.
 GROUPS = {
     "SF0": "Files and their text",
     "SF1": "Keys and values",
@@ -18,7 +19,6 @@ GROUPS = {
     "SF4": "Lints: warnings, which can be silenced with a reason",
     "SF5": "Captures",
 }
-"""Titles of the groups of codes by prefix, in the order in which a document is checked."""
 
 _CODE = re.compile(r"(?:(?:error|warning)?\[)?(?:sf)?([0-9]{1,3})\]?", re.IGNORECASE)
 _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)

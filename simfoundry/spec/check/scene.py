@@ -22,8 +22,8 @@ from simfoundry.spec.models.scene import DEFAULT_VARIANT, PLACE_REFERENCES, Obje
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
 
+# Fields that have no effect on an object whose asset is a document, because the document defines them per link.
 OF_LINKS = ("scale", "visual", *BodySpec.model_fields)
-"""Fields that have no effect on an object whose asset is a document, because the document defines them per link."""
 
 ROBOT_SUFFIXES = {
     "file": (".yaml", ".yml"),

@@ -16,8 +16,8 @@ from simfoundry.spec.yaml.text import Document, Path_
 
 M = TypeVar("M", bound=Model)
 
+# Maximum number of findings per kind of check and document, which limits the output for malicious input.
 MAX_FINDINGS = 200
-"""Maximum number of findings per kind of check and document, which limits the output for malicious input."""
 
 _CODES = {
     "missing": "SF102",
@@ -27,6 +27,7 @@ _CODES = {
     **dict.fromkeys(("literal_error", "string_pattern_mismatch"), "SF106"),
 }
 
+# Prefixes of pydantic error types and the corresponding terms for document values.
 _EXPECTED = {
     "model": "a mapping",
     "dict": "a mapping",
@@ -36,16 +37,16 @@ _EXPECTED = {
     "int": "a whole number",
     "float": "a number",
 }
-"""Prefixes of pydantic error types and the corresponding terms for document values."""
 
 
+# Keys of a condition mapping; each condition has exactly one of them.
 _JOINED = {"all", "any", "not"}
-"""Keys of a condition mapping; each condition has exactly one of them."""
 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+# Number with a unit.
 _MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
-"""Number with a unit."""
 
+# Hint for each unit and the factor that converts it to the unit used in documents.
 _UNITS = {
     "mm": ("lengths are in m", 0.001),
     "cm": ("lengths are in m", 0.01),
@@ -55,7 +56,6 @@ _UNITS = {
     "deg": ("angles are in degrees", 1.0),
     "°": ("angles are in degrees", 1.0),
 }
-"""Hint for each unit and the factor that converts it to the unit used in documents."""
 
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:

@@ -22,11 +22,11 @@ from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import number
 
+# Names of the kinds on the command line, such as ``scene``.
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
-"""Names of the kinds on the command line, such as ``scene``."""
 
+# Half the width [m] of the initial region of an object, which is centered at its position in the scene.
 REGION = 0.05
-"""Half the width [m] of the initial region of an object, which is centered at its position in the scene."""
 
 
 class NewError(Exception):

@@ -24,6 +24,7 @@ from simfoundry.spec.yaml.write import number
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+# Names of the schema parts that combine alternatives, by the models among the alternatives.
 UNIONS = {
     "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
@@ -31,10 +32,9 @@ UNIONS = {
     "JointPosition": {"Degrees"},
     "RobotModel": {"RobotFiles"},
 }
-"""Names of the schema parts that combine alternatives, by the models among the alternatives."""
 
+# Pattern for a key that is the end of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma.
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
-"""Pattern for a key that is the end of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma."""
 
 
 def _predicate_pattern() -> str:
@@ -43,15 +43,15 @@ def _predicate_pattern() -> str:
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
 
+# Schema part for conditions in a list, in which YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number.
 LISTED = "Listed"
-"""Schema part for conditions in a list, in which YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number."""
 
 
+# Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them.
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
-"""Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them."""
 
+# Keywords whose value is a mapping by name; a name may coincide with a keyword.
 _BY_NAME = ("$defs", "patternProperties", "properties")
-"""Keywords whose value is a mapping by name; a name may coincide with a keyword."""
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
@@ -324,8 +324,8 @@ def _text(kind: str, standard: bool) -> str:
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
+# Prefix of the names of the relaxed parts.
 OVERLAY = "Overlay"
-"""Prefix of the names of the relaxed parts."""
 
 REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}

@@ -10,8 +10,8 @@ from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
 from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.spec.yaml.text import parse
 
+# A snippet with placeholders such as ``${1:0.5}``, either as inline text or as data for multiple lines.
 Body = str | tuple[Any, ...] | dict[str, Any]
-"""A snippet with placeholders such as ``${1:0.5}``, either as inline text or as data for multiple lines."""
 
 
 @cache

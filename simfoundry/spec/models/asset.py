@@ -71,8 +71,8 @@ class Inertial(Model):
         return self
 
 
+# Relative tolerance of the triangle inequality for principal moments; needed because files contain six digits.
 ROUNDING = 1e-6
-"""Relative tolerance of the triangle inequality for principal moments; needed because files contain six digits."""
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:

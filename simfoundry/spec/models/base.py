@@ -51,17 +51,16 @@ PATTERNS = {
 }
 
 Name = Annotated[str, StringConstraints(pattern=NAME, max_length=64)]
+# Name of an object, such as ``cabinet``, or of one of its links, such as ``cabinet.drawer``.
 PartName = Annotated[str, StringConstraints(pattern=PART_NAME, max_length=129)]
-"""Name of an object, such as ``cabinet``, or of one of its links, such as ``cabinet.drawer``."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Code = Annotated[str, StringConstraints(pattern=CODE)]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
+# Largest allowed position or size [m]. Many simulators use single precision, whose resolution at this distance is 6 cm.
 FARTHEST = 1e6
-"""Largest allowed position or size [m]. Many simulators use single precision, whose resolution at this distance is
-6 cm."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
 Vec2 = tuple[Number, Number]
@@ -70,8 +69,8 @@ Point2 = tuple[Coordinate, Coordinate]
 Point3 = tuple[Coordinate, Coordinate, Coordinate]
 Size3 = tuple[Length, Length, Length]
 
+# Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers.
 WORLD = "world"
-"""Name reserved for the static world: it is the first body in MuJoCo, and a special link name in URDF readers."""
 Color = Annotated[
     Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
@@ -115,8 +114,8 @@ def _ordered(ends: tuple[float, ...]) -> tuple[float, ...]:
     return ends
 
 
+# Validator for a (minimum, maximum) pair.
 Ordered = AfterValidator(_ordered)
-"""Validator for a (minimum, maximum) pair."""
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:

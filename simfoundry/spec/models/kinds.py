@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from simfoundry.spec.models.base import DocumentSpec
 
+# Document kinds with versions, as written in the first key of a document.
 KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
-"""Document kinds with versions, as written in the first key of a document."""
 
 
 def suffix(kind: str) -> str:

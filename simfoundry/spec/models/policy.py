@@ -14,8 +14,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import Registry
 from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive, fault
 
+# Key in a message to the policy, such as ``observation/wrist_image_left``.
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
-"""Key in a message to the policy, such as ``observation/wrist_image_left``."""
 
 
 def _variable(text: str) -> str:
@@ -25,8 +25,8 @@ def _variable(text: str) -> str:
     return text
 
 
+# Name of an environment variable; only capitals are allowed, so that a key pasted by accident is rejected.
 Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
-"""Name of an environment variable; only capitals are allowed, so that a key pasted by accident is rejected."""
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
@@ -54,6 +54,7 @@ class PolicyProtocol:
     short_form: Mapping[str, Any] = field(default_factory=dict)
 
 
+# Registry of policy server protocols by name; each protocol is imported when a document uses it.
 PROTOCOLS: Registry[PolicyProtocol] = Registry(
     "simfoundry.policies",
     {
@@ -63,7 +64,6 @@ PROTOCOLS: Registry[PolicyProtocol] = Registry(
     },
     PolicyProtocol,
 )
-"""Registry of policy server protocols by name; each protocol is imported when a document uses it."""
 
 
 def _protocol(name: str) -> str:
@@ -77,13 +77,13 @@ def _protocol(name: str) -> str:
     return name
 
 
+# Name of a built-in protocol, or of a protocol provided by an installed package.
 ProtocolName = Annotated[
     str,
     StringConstraints(pattern=NAME, max_length=64),
     AfterValidator(_protocol),
     Field(json_schema_extra={"examples": list(PROTOCOLS.built_in)}),
 ]
-"""Name of a built-in protocol, or of a protocol provided by an installed package."""
 
 _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
 

@@ -87,6 +87,7 @@ class Predicate:
         return f"{most - self.optional} or {most} arguments" if self.optional else f"{most} argument{plural}"
 
 
+# Registry of predicates by name.
 PREDICATES = Registry(
     "simfoundry.predicates",
     {
@@ -110,7 +111,6 @@ PREDICATES = Registry(
     },
     Predicate,
 )
-"""Registry of predicates by name."""
 
 
 def built_in_predicates() -> dict[str, Predicate]:

@@ -9,8 +9,8 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, model_validat
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive, fault
 
+# Name of a joint in the robot's model.
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
-"""Name of a joint in the robot's model."""
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,12 @@ from simfoundry.runtime.plugins import plugins
 from simfoundry.spec.models.base import Model, Name, Number, PoseSpec, Positive
 from simfoundry.spec.models.robot import JointName, KnownRobot
 
+# Location of a model file: a path, `pkg:package/path`, `menagerie:robot`, or `robot_descriptions:name`; `/path` may be
+# appended to the last two forms.
 Reference = str
-"""Location of a model file: a path, `pkg:package/path`, `menagerie:robot`, or `robot_descriptions:name`; `/path` may be
-appended to the last two forms."""
 
+# Values for the open and the closed gripper.
 Travel = tuple[Number, Number]
-"""Values for the open and the closed gripper."""
 
 
 class FrameSpec(Model):
@@ -150,11 +150,11 @@ def read_robot_file(file: Path) -> RobotFileSpec:
 
 GROUP = "simfoundry.robots"
 
+# Environment variable with the path of a user folder that contains robot files such as `my_arm.yaml`.
 OWN_ROBOTS = "SIMFOUNDRY_ROBOTS"
-"""Environment variable with the path of a user folder that contains robot files such as `my_arm.yaml`."""
 
+# Folder of the built-in robots.
 BUILT_IN = Path(__file__).parents[2] / "robots"
-"""Folder of the built-in robots."""
 
 
 def own_folder(must_exist: bool = False) -> Path | None:

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 SIDES = ("left_of", "right_of")
 DEPTHS = ("in_front_of", "behind")
+# Keys of a place whose value is the name of an object.
 PLACE_REFERENCES = ("on", "inside", *SIDES, *DEPTHS)
-"""Keys of a place whose value is the name of an object."""
 
 
 class Place(Model):
@@ -94,19 +94,19 @@ def _position_tag(value: Any) -> str:
     return "degrees" if isinstance(value, dict | Degrees) else "number"
 
 
+# Joint position: a number, ``{deg: 30}``, or, for a ball or free joint, a pose relative to the zero position.
 JointPosition = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[PoseSpec, Tag("pose")],
     Discriminator(_position_tag),
 ]
-"""Joint position: a number, ``{deg: 30}``, or, for a ball or free joint, a pose relative to the zero position."""
 
 Touching = tuple[PartName, PartName]
 
 
 Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
 
+# Name of the variant that is the object without any overrides.
 DEFAULT_VARIANT = "default"
-"""Name of the variant that is the object without any overrides."""
 
 
 class GeometrySpec(BodySpec):
@@ -258,8 +258,8 @@ class SceneSpec(DocumentSpec):
     origin: Origin | None = Field(None, description="Origin of the scene.")
 
 
+# Joint position as written: a number [m or rad], an angle in degrees, or the pose of a ball or free joint.
 Written = float | Degrees | PoseSpec
-"""Joint position as written: a number [m or rad], an angle in degrees, or the pose of a ball or free joint."""
 
 
 def number(position: Written) -> float:
@@ -287,8 +287,8 @@ def position(asset: "AssetSpec", name: str, given: Mapping[str, Written]) -> flo
 
 
 GEOMETRY = ("shape", "asset")
+# Fields that describe a shape or mesh and are dropped when the shape or mesh is replaced.
 OF_GEOMETRY = ("scale", "visual")
-"""Fields that describe a shape or mesh and are dropped when the shape or mesh is replaced."""
 
 
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:

@@ -16,17 +16,17 @@ from simfoundry.spec.yaml.text import read
 
 _KEYS: dict[str, Any] = read(Path(__file__).with_name("keys.yaml")).data
 
+# Groups of mutually exclusive keys; a key set by an overlay replaces the base's other keys in the same group.
 EXCLUSIVE: tuple[tuple[str, ...], ...] = _KEYS["exclusive"]
-"""Groups of mutually exclusive keys; a key set by an overlay replaces the base's other keys in the same group."""
 
+# Sections in which names are looked up, by the key whose value is a name or a list of names.
 REFERENCES: dict[str, tuple[str, ...]] = _KEYS["references"]
-"""Sections in which names are looked up, by the key whose value is a name or a list of names."""
 
+# For each key, the keys that it cannot be combined with.
 RIVALS = {key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in sum(EXCLUSIVE, ())}
-"""For each key, the keys that it cannot be combined with."""
 
+# Path in which ``*`` matches any name or index.
 Pattern = tuple[str, ...]
-"""Path in which ``*`` matches any name or index."""
 
 
 def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:

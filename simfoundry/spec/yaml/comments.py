@@ -17,8 +17,8 @@ _BREAK = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 _COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")
 _ANCHOR = re.compile("&[0-9A-Za-z_-]+")
 _GAP = re.compile("(?:[ \t\r\n\x85\u2028\u2029\ufeff]|#[^\r\n\x85\u2028\u2029]*)*")
+# Header line of a block scalar with a comment.
 _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
-"""Header line of a block scalar with a comment."""
 
 
 @dataclass(slots=True)

@@ -11,11 +11,11 @@ import yaml
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
+# Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000.
 MAX_DEPTH = 64
-"""Maximum nesting depth; specs in this repository have at most 9 levels, and Python's recursion limit is 1000."""
 
+# Maximum number of values, counting repetitions by aliases; a scene with 1,000 objects has about 16,000 values.
 MAX_NODES = 150_000
-"""Maximum number of values, counting repetitions by aliases; a scene with 1,000 objects has about 16,000 values."""
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
@@ -29,11 +29,11 @@ _WORDS: dict[str, Any] = {
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
 
+# Characters that can start a number.
 _NUMERIC = frozenset("0123456789+-.")
-"""Characters that can start a number."""
 
+# Key positions of all nodes that are not mappings; never modified.
 _NO_KEYS: dict[str, tuple[int, int]] = {}
-"""Key positions of all nodes that are not mappings; never modified."""
 
 
 @dataclass(slots=True)

@@ -13,25 +13,25 @@ from simfoundry.spec.models.predicate import canonical
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
+# Number of decimals; micrometers and milligrams are finer than the accuracy of any capture.
 DIGITS = 6
-"""Number of decimals; micrometers and milligrams are finer than the accuracy of any capture."""
+# Numbers at least this large are written with an exponent.
 LARGE = 1e15
-"""Numbers at least this large are written with an exponent."""
 
+# Context of a string: block style, in a list in brackets, or in a mapping in braces.
 Where = Literal["block", "item", "value"]
-"""Context of a string: block style, in a list in brackets, or in a mapping in braces."""
 
+# Test document for a string in each context; the string does not need quotes if it reads back unchanged.
 _FRAME: dict[Where, tuple[str, Any]] = {
     "block": ("a: {}", lambda text: {"a": text}),
     "item": ("[a, {}, b]", lambda text: ("a", text, "b")),
     "value": ("{{a: {}, b: 1}}", lambda text: {"a": text, "b": 1}),
 }
-"""Test document for a string in each context; the string does not need quotes if it reads back unchanged."""
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
 _PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
+# Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date.
 _LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
-"""Pattern for strings that people or other YAML readers may interpret as a number, a time, or a date."""
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 

@@ -18,11 +18,11 @@ import yaml
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.yaml.nodes import EVENTS, Composer, Node, YamlError
 
+# Maximum size of a text [bytes]; a scene with 1,000 objects requires 0.14 MiB.
 MAX_BYTES = 4 * 2**20
-"""Maximum size of a text [bytes]; a scene with 1,000 objects requires 0.14 MiB."""
 
+# Characters that must be escaped in a YAML text.
 UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that must be escaped in a YAML text."""
 Path_ = tuple[str | int, ...]
 
 
@@ -110,8 +110,8 @@ def read(path: Path) -> Document:
     return parse(text, str(path))
 
 
+# Marker lines of a git conflict, in order; a repository may use markers longer than seven characters.
 _MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$", r">{7,}(?: |$)"))
-"""Marker lines of a git conflict, in order; a repository may use markers longer than seven characters."""
 
 
 def _conflict(text: str) -> int:
@@ -151,6 +151,7 @@ def parse(text: str, file: str = "<text>") -> Document:
     return Document(file, text, root.value, root, tuple(composer.duplicates))
 
 
+# Parser messages with the corresponding message and hint for users.
 _SYNTAX = (
     ("mapping values are not allowed", "a `:` is not allowed here", "check the indentation, or quote the text"),
     ("could not find expected ':'", "a `:` is missing", "a key is followed by a colon and a space"),
@@ -164,7 +165,6 @@ _SYNTAX = (
     ("unknown escape character", "unknown escape sequence", "write a backslash twice in double quotes"),
     ("tab character", "tabs are not allowed here", "indent with spaces, not tabs"),
 )
-"""Parser messages with the corresponding message and hint for users."""
 
 
 def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:

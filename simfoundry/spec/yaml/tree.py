@@ -12,8 +12,8 @@ from simfoundry.spec.yaml.comments import Notes, read_notes
 from simfoundry.spec.yaml.nodes import Node
 from simfoundry.spec.yaml.text import Document, Path_
 
+# Key of the document kind.
 KIND = "simfoundry"
-"""Key of the document kind."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,25 +15,25 @@ from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
 
+# Line width [columns], so that two documents fit side by side in a diff on a wide screen.
 WIDTH = 110
-"""Line width [columns], so that two documents fit side by side in a diff on a wide screen."""
 
+# Maximum length of a simple key [characters]; YAML requires a question mark before longer keys.
 MAX_KEY = 1000
-"""Maximum length of a simple key [characters]; YAML requires a question mark before longer keys."""
+# Maximum difference in length [columns] between neighboring lines whose comments are aligned.
 NEIGHBORS = 24
-"""Maximum difference in length [columns] between neighboring lines whose comments are aligned."""
 
+# Sections whose members are written on several lines.
 _BLOCKS = ("objects", "links", "frames")
-"""Sections whose members are written on several lines."""
 
+# Keys whose strings are predicates, such as ``OnTop(cup, desk)``.
 _PREDICATES = ("relations", "goal", "all", "any", "not")
-"""Keys whose strings are predicates, such as ``OnTop(cup, desk)``."""
 
+# Predicate with more than one argument.
 _PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
-"""Predicate with more than one argument."""
 
+# A line and the comment beside it, which may be empty.
 Line = tuple[str, str]
-"""A line and the comment beside it, which may be empty."""
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
     from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
+# Default image size [px], which is the size of viewports in Isaac Sim and usdview.
 PICTURE = (1280, 720)
-"""Default image size [px], which is the size of viewports in Isaac Sim and usdview."""
 
+# Scopes in a compiled stage that do not contain members.
 OWN_SCOPES = ("Looks", "Contacts", "Physics")
-"""Scopes in a compiled stage that do not contain members."""
 
 
 @dataclass

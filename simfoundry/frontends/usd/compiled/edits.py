@@ -40,8 +40,8 @@ def as_name(text: str, taken: Iterable[str]) -> str:
     return free_name(word, set(taken))
 
 
+# Maximum deviation [m, rad] of a moved link from its joint's axis of motion; manual moves are inexact.
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
-"""Maximum deviation [m, rad] of a moved link from its joint's axis of motion; manual moves are inexact."""
 
 
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
@@ -105,19 +105,19 @@ def _at(values: Values, link: str) -> Pose:
     return placed(values.get(link, {}).get("at"))[0]
 
 
+# Minimum translation [m] that counts as an edit; smaller ones are accidental movements in a viewer.
 MOVED_M = 1e-4
-"""Minimum translation [m] that counts as an edit; smaller ones are accidental movements in a viewer."""
 
+# Largest finite number in single precision.
 SINGLE = 3.4e38
-"""Largest finite number in single precision."""
 
+# Relative tolerance for a round trip through single precision, which is a few units in the last place.
 ROUNDED = 2e-6
-"""Relative tolerance for a round trip through single precision, which is a few units in the last place."""
 
 _PIECES = ("Colliders", "Visuals")
 
+# Prefixes of attributes to report if a user added them with a value other than the fallback.
 _REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
-"""Prefixes of attributes to report if a user added them with a value other than the fallback."""
 
 
 @dataclass(frozen=True)
@@ -374,8 +374,8 @@ def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]
             data.pop("fixed", None)
 
 
+# Relative tolerance for equal scale factors, which stages store in single precision.
 _EVEN = 1e-6
-"""Relative tolerance for equal scale factors, which stages store in single precision."""
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:

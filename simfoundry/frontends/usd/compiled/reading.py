@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 
+# Placement keys that refer to other objects.
 ANCHORS = ("on", "inside", "left_of", "right_of", "in_front_of", "behind")
-"""Placement keys that refer to other objects."""
 
 
 def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
+# Name of the variant set of an object.
 VARIANTS = "variant"
-"""Name of the variant set of an object."""
 
+# Placeholder for a variant that was not compiled; not a valid variant name.
 UNKNOWN = "?"
-"""Placeholder for a variant that was not compiled; not a valid variant name."""
 
+# Relationships that determine the visual and contact materials in :func:`_now`.
 _BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
-"""Relationships that determine the visual and contact materials in :func:`_now`."""
 
+# Values by prim path relative to the member, and then by name.
 Values = dict[str, dict[str, Any]]
-"""Values by prim path relative to the member, and then by name."""
 
 
 class StageError(SimfoundryError):

@@ -13,14 +13,14 @@ from simfoundry.geometry.frames import Array
 if TYPE_CHECKING:
     from pxr import Usd
 
+# Relative tolerance for the scale of a corrective transform; inches are often written as 0.0254 or 39.37.
 SAME_SIZE = 1e-4
-"""Relative tolerance for the scale of a corrective transform; inches are often written as 0.0254 or 39.37."""
 
+# Cosine of the maximum tilt (8 degrees) that counts as upright.
 UPRIGHT_COS = 0.99
-"""Cosine of the maximum tilt (8 degrees) that counts as upright."""
 
+# Rotation from a frame with y up to a frame with z up.
 Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-"""Rotation from a frame with y up to a frame with z up."""
 
 
 class StageFrame:

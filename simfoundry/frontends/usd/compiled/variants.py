@@ -15,11 +15,11 @@ from simfoundry.spec.yaml.write import to_data
 Data = dict[str, Any]
 Edit = Callable[[StageMember], tuple[Data, tuple[StageNote, ...]]]
 
+# Keys of an object that do not belong to its variants.
 OF_OBJECT = ("pose", "place", "fixed", "joints")
-"""Keys of an object that do not belong to its variants."""
 
+# Tolerance for equal positions [m] and quaternion components; stages store nine digits.
 _STILL = 1e-9
-"""Tolerance for equal positions [m] and quaternion components; stages store nine digits."""
 
 
 def variant_data(data: Data, variant: str) -> Data:

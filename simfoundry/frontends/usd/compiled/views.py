@@ -22,8 +22,8 @@ LENS = (
     "verticalAperture",
     "verticalApertureOffset",
 )
+# Maximum roll of a camera that is written with `look_at`, which keeps the image upright.
 UPRIGHT_RAD = 1e-3
-"""Maximum roll of a camera that is written with `look_at`, which keeps the image upright."""
 
 
 def edited_camera(part: StageMember) -> Edited:

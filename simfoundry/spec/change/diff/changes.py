@@ -20,11 +20,11 @@ from simfoundry.spec.models.types import REFERENCES
 
 Path_ = tuple[str, ...]
 
+# Keys of lists of expressions, which are unordered.
 EXPRESSION_LISTS = ("relations", "all", "any")
-"""Keys of lists of expressions, which are unordered."""
 
+# Keys of lists of pairs; both the lists and the pairs are unordered.
 PAIR_LISTS = ("no_contact",)
-"""Keys of lists of pairs; both the lists and the pairs are unordered."""
 
 
 @dataclass(frozen=True)
@@ -139,26 +139,26 @@ def _other_kind(a: Any, b: Any) -> bool:
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
 
 
+# Sections of a document whose members have names, in the order in which changes are shown.
 NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
-"""Sections of a document whose members have names, in the order in which changes are shown."""
 
+# Keys of mappings whose members have names.
 SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
-"""Keys of mappings whose members have names."""
 
+# Smallest fraction of equal values at which two members are treated as a rename.
 ALIKE = 0.6
-"""Smallest fraction of equal values at which two members are treated as a rename."""
 
+# Keys that identify a member; if any of them differs, the two members are different objects.
 IDENTITY = ("shape", "asset", "mesh", "model")
-"""Keys that identify a member; if any of them differs, the two members are different objects."""
 
+# Maximum number of candidate pairs for which similarity is computed; if there are more, only equal members match.
 MAX_PAIRS = 40_000
-"""Maximum number of candidate pairs for which similarity is computed; if there are more, only equal members match."""
 
+# Keys whose value names a member of the mapping that contains them.
 BESIDE = {"variant": "variants"}
-"""Keys whose value names a member of the mapping that contains them."""
 
+# Keys of expressions; their arguments are names of objects or robots.
 _EXPRESSIONS = ("relations", "goal", "all", "any", "not")
-"""Keys of expressions; their arguments are names of objects or robots."""
 
 _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 

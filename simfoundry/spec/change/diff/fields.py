@@ -11,8 +11,8 @@ from simfoundry.spec.models.base import Model
 
 Path_ = tuple[str, ...]
 
+# Fields that a body takes from its material unless it sets them itself.
 INHERITED = ("density", "friction", "restitution", "color")
-"""Fields that a body takes from its material unless it sets them itself."""
 
 _CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "local_xy")
 

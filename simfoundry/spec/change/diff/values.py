@@ -15,18 +15,18 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.write import number
 
+# Maximum length of a displayed text [characters], so that two texts fit on one line.
 LONGEST = 48
-"""Maximum length of a displayed text [characters], so that two texts fit on one line."""
 
+# Maximum length of a list of numbers that is written out, which is the length of a quaternion.
 FEW = 4
-"""Maximum length of a list of numbers that is written out, which is the length of a quaternion."""
 
+# Fields that contain prose.
 FREE_TEXTS = ("description", "instruction", "note")
-"""Fields that contain prose."""
 
 _UNIT = re.compile(r"\[([^\]]+)\]")
+# Lists that are formatted as ``a × b``.
 _TIMES = ("size", "grid", "box")
-"""Lists that are formatted as ``a × b``."""
 
 
 def joined(items: Iterable[str]) -> str:
@@ -159,14 +159,14 @@ def _same_digits(old: float, new: float) -> tuple[str, str]:
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
+# Smallest reported translation [m]; smaller values are rounding errors, because positions have six decimals.
 STILL_M = 5e-7
-"""Smallest reported translation [m]; smaller values are rounding errors, because positions have six decimals."""
 
+# Smallest reported rotation [deg]; smaller values are rounding errors of quaternions with six decimals.
 STILL_DEG = 5e-4
-"""Smallest reported rotation [deg]; smaller values are rounding errors of quaternions with six decimals."""
 
+# Maximum angle [deg] between a rotation axis and x, y or z at which the rotation is reported as about that axis.
 AXIS_DEG = 1.0
-"""Maximum angle [deg] between a rotation axis and x, y or z at which the rotation is reported as about that axis."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from simfoundry.spec.change.diff.changes import NAMED, Change, Rename, diff, ren
 from simfoundry.spec.change.diff.fields import Describing
 from simfoundry.spec.models.base import Model
 
+# Maximum width of a line of changes [columns]; if the changes of a member are longer, each one gets its own line.
 WIDTH = 100
-"""Maximum width of a line of changes [columns]; if the changes of a member are longer, each one gets its own line."""
 
 _RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
 _LAST = {"cameras": 8, "lights": 9, "materials": 10}

@@ -183,8 +183,8 @@ def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) 
     return Pair(name, before, after)
 
 
+# Format of a commit for `git log`: hash, parents, date, author, and subject.
 _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
-"""Format of a commit for `git log`: hash, parents, date, author, and subject."""
 
 
 @dataclass(frozen=True)

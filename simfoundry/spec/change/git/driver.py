@@ -18,8 +18,8 @@ from simfoundry.spec.change.merge.conflict import ABSENT, dotted, shown
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.yaml.text import parse
 
+# Argument that git passes for a missing file.
 NOTHING = "/dev/null"
-"""Argument that git passes for a missing file."""
 
 
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
@@ -123,14 +123,14 @@ def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list
     return [f"diff --git a/{path} b/{new_path}", *difflib.unified_diff(before, after, *names, lineterm="")]
 
 
+# Time limit [s] for one blob search, because `git log -p` starts a search for every document in every commit.
 LOOKUP_S = 2.0
-"""Time limit [s] for one blob search, because `git log -p` starts a search for every document in every commit."""
 
+# Maximum number of commits to search, because each commit requires a lookup for every document.
 MAX_STATES = 5000
-"""Maximum number of commits to search, because each commit requires a lookup for every document."""
 
+# The blobs at a set of paths in one state of the repository.
 Row = tuple[str | None, ...]
-"""The blobs at a set of paths in one state of the repository."""
 
 
 class _UnknownError(Exception):

@@ -18,17 +18,17 @@ from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
 
+# Function that maps a path in the repository (with ``/``) to the content of the file, or None if it is missing.
 Read = Callable[[str], bytes | None]
-"""Function that maps a path in the repository (with ``/``) to the content of the file, or None if it is missing."""
 
+# Maximum number of files for one document: ten files (including textures) for each of a thousand objects.
 MAX_FILES = 10_000
-"""Maximum number of files for one document: ten files (including textures) for each of a thousand objects."""
 
+# Lines in mesh and material files that refer to one or more files, possibly after options.
 _NAMED = {
     ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
     ".mtl": re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
 }
-"""Lines in mesh and material files that refer to one or more files, possibly after options."""
 
 
 class GitError(SimfoundryError):

@@ -11,8 +11,8 @@ from typing import Any
 
 Path_ = tuple[str, ...]
 
+# Key that contains the unresolved conflicts of a document.
 CONFLICTS = "conflicts"
-"""Key that contains the unresolved conflicts of a document."""
 
 
 class Absent(Enum):
@@ -25,8 +25,8 @@ ABSENT = Absent.ABSENT
 
 _PART = re.compile(r'"(?:[^"\\]|\\.)*"|[^."]+')
 _AGAIN = re.compile(r" #[0-9]+\Z")
+# Maximum length of a value in a message [characters], so that both sides and the path fit into 160 columns.
 _SHOWN = 60
-"""Maximum length of a value in a message [characters], so that both sides and the path fit into 160 columns."""
 
 
 @dataclass(frozen=True)

@@ -86,8 +86,8 @@ def _kind(item: YamlTree) -> str:
     return key if key in _JOINED else ""
 
 
+# Keys of conditions.
 _CONDITIONS = ("goal", "not")
-"""Keys of conditions."""
 
 
 def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:

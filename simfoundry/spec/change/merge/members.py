@@ -95,8 +95,8 @@ def _members(data: Any, section: Path_) -> dict[str, Any]:
 Members = Mapping[str, YamlTree]
 Sides = tuple[Members, Members]
 
+# Leading keys and the keys that depend on their value.
 LED = (("type", ("limits", "limits_deg")),)
-"""Leading keys and the keys that depend on their value."""
 
 
 def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:

@@ -21,8 +21,8 @@ from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 
+# Codes of findings which mean that a text is not a document.
 _UNREADABLE = ("SF002", "SF004", "SF005")
-"""Codes of findings which mean that a text is not a document."""
 
 
 class UnmergeableError(SimfoundryError):

@@ -20,8 +20,8 @@ from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
+# Named mappings whose order is significant.
 ORDERED = (("subtasks",), ("links",), ("frames",))
-"""Named mappings whose order is significant."""
 
 
 @dataclass(frozen=True)
