@@ -61,7 +61,7 @@ def located(reference: str, document: Path) -> Path:
     folder = Path(spec.submodule_search_locations[0]).resolve()
     target = (folder / path).resolve()
     if not target.is_relative_to(folder):
-        raise FileError("SF204", f"`{reference}` is outside the package", "name a file of the package")
+        raise FileError("SF204", f"`{reference}` is outside the package", "name a file in the package")
     return target
 
 
@@ -79,7 +79,7 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
         return _found(reference, target, target.parent if packaged else root, suffixes)
     except (OSError, RuntimeError) as error:  # a cycle of links, an unreadable folder, or a long name
         reason = getattr(error, "strerror", None) or "its symbolic links form a cycle"
-        raise FileError("SF203", f"`{reference}` cannot be reached: {reason}") from None
+        raise FileError("SF203", f"`{reference}` could not be accessed: {reason}") from None
 
 
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
@@ -89,15 +89,17 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
         )
         raise FileError("SF204", f"`{reference}` is outside the project", hint)
     if suffixes and not reference.lower().endswith(suffixes):
-        raise FileError("SF203", f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
+        raise FileError(
+            "SF203", f"`{reference}` does not have a supported file type", f"supported: {', '.join(suffixes)}"
+        )
     if target.is_file() or (not suffixes and target.is_dir()):
         return target
     folder = target.parent
     if not folder.is_dir():
-        raise FileError("SF203", f"there is no file `{reference}`", f"there is no folder `{folder.name}`")
+        raise FileError("SF203", f"file `{reference}` does not exist", f"folder `{folder.name}` does not exist")
     near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
-    hint = nearest(target.name, near) or f"there is none in the folder `{folder.name}`"
-    raise FileError("SF203", f"there is no {'file' if suffixes else 'folder'} `{reference}`", hint)
+    hint = nearest(target.name, near) or f"folder `{folder.name}` does not contain any such file"
+    raise FileError("SF203", f"{'file' if suffixes else 'folder'} `{reference}` does not exist", hint)
 
 
 def _or_mark(target: Path, root: Path) -> str:
@@ -107,7 +109,7 @@ def _or_mark(target: Path, root: Path) -> str:
     common = Path(os.path.commonpath([target.parent, root]))
     if Project(root).is_marked or not target.is_file() or common == Path(common.anchor):
         return ""
-    return f", or put an empty `simfoundry.yaml` into {common}"
+    return f", or create an empty `simfoundry.yaml` in {common}"
 
 
 def shown(reference: str, document: Path) -> Path:

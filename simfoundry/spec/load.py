@@ -115,12 +115,14 @@ def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
     """Return the kind specified by the first key of a document, or a finding if the kind is invalid."""
     data = document.data
     if not isinstance(data, dict):
-        message, value = "a document is a mapping that starts with `simfoundry: scene/1`", None
+        message, value = "a document must be a mapping that starts with `simfoundry: scene/1`", None
     else:
         value = data.get("simfoundry")
         if isinstance(value, str) and value in KINDS:
             return value, None
-        message = f"`{value}` is not a kind of document" if "simfoundry" in data else "the key `simfoundry` is missing"
+        message = (
+            f"`{value}` is not a known document kind" if "simfoundry" in data else "the key `simfoundry` is missing"
+        )
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
     return None, document.finding("SF006", ("simfoundry",), message, hint)
 
@@ -168,7 +170,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
     place = ("extends",)
     if not isinstance(written, str):
         return document.finding(
-            "SF103", place, "expected a text, the path of a document", "write `extends: a.scene.yaml`"
+            "SF103", place, "expected a string, the path of a document", "write `extends: a.scene.yaml`"
         )
     try:
         target = reachable(written, path, root, (suffix(kind), ".yaml"))
@@ -178,7 +180,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
         cycle = " extends ".join(f"`{b.name}`" for b in [*before, target])
         return document.finding("SF207", place, f"{cycle}, which is a cycle", "remove `extends` from one of them")
     if len(before) > MAX_BASES:
-        return document.finding("SF005", place, f"more than {MAX_BASES} documents extend each other")
+        return document.finding("SF005", place, f"the chain of `extends` has more than {MAX_BASES} documents")
     shown = Path(os.path.normpath(path.parent / written))
     try:
         base = read(shown if shown.resolve() == target else target)
@@ -186,9 +188,9 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
         return error.diagnostic(str(shown))
     found = _keys(base.root).get("simfoundry")
     if found is None or found.value != kind:
-        named = f"a `{found.value}`" if found is not None else "no"
-        message = f"`{written}` is {named} document, and this is a `{kind}` one"
-        return document.finding("SF006", place, message, "a document extends another of its own kind")
+        named = f"a `{found.value}` document" if found is not None else "not a document"
+        message = f"`{written}` is {named}, but this is a `{kind}` document"
+        return document.finding("SF006", place, message, "a document can only extend a document of the same kind")
     _own(base.root, base.file)
     return base
 
@@ -243,7 +245,7 @@ class _Joining:
         return rivals
 
     def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...], there: Iterable[str]) -> None:
-        message = f"the extended document has no `{path[-1]}`, so it cannot be removed"
+        message = f"the extended document does not contain `{path[-1]}`, so it cannot be removed"
         similar = nearest(path[-1], there)
         hint = similar if similar.startswith("did you mean") else "remove the line"
         self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, ".".join(path), hint))

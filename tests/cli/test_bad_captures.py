@@ -61,13 +61,13 @@ def _cut(folder: Path) -> None:
 
 
 BAD = {
-    "no color": (_no_file("color.png"), "SF203", ":5:12", "there is no file `color.png`"),
-    "no depth": (_no_file("depth.png"), "SF203", ":7:14", "there is no file `depth.png`"),
+    "no color": (_no_file("color.png"), "SF203", ":5:12", "file `color.png` does not exist"),
+    "no depth": (_no_file("depth.png"), "SF203", ":7:14", "file `depth.png` does not exist"),
     "no document": (_no_file("capture.yaml"), "SF001", "capture.yaml: error", "has no capture.yaml"),
     "no YAML": (_no_yaml, "SF002", ":1:", ""),
     "not UTF-8": (_not_utf8, "SF001", ":2:7", ""),
     "a scene": (_a_scene, "SF006", ":1:1", "expected a `capture/1` document"),
-    "a folder": (_a_folder, "SF203", ":5:12", "there is no file"),
+    "a folder": (_a_folder, "SF203", ":5:12", "does not exist"),
     "elsewhere": (_elsewhere, "SF204", ":5:12", "is outside the project"),
     "name": (_name, "SF106", ":2:7", "My Desk!"),
     "channels": (_three_channels, "SF501", ":7:14", "3 channels"),

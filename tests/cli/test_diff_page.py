@@ -161,7 +161,7 @@ def test_a_side_that_cannot_be_shown_says_why(repository: Repository) -> None:
     repository.write("table.scene.yaml", EDITED.replace("parts/cabinet.asset.yaml", "parts/cupboard.asset.yaml"))
     page = _page(repository)
     assert len(page.pictures()) == 1
-    assert "The scene cannot be shown: there is no file `parts/cupboard.asset.yaml`." in page.text
+    assert "The scene cannot be shown: file `parts/cupboard.asset.yaml` does not exist." in page.text
     assert "SF203" in page.text
     repository.write("table.scene.yaml", "objects: [")
     page = _page(repository)

@@ -218,7 +218,7 @@ def test_what_is_no_yaml_is_merged_by_lines(start: Start, where: str) -> None:
     theirs = breaking if where == "theirs" else ("OnTop(cup, desk)", "Upright(cup)")
     part(repository, ours, theirs)
     said = repository.git("merge", "-m", "both", "other")
-    assert f"{NAME}: merged line by line, because {where} cannot be read" in said
+    assert f"{NAME}: merged line by line, because {where} could not be parsed" in said
     assert repository.text == repository.git("show", f":{NAME}")
     assert (ours[1] in repository.text) and (theirs[1] in repository.text)
 
@@ -343,10 +343,10 @@ def test_what_cannot_be_merged_is_said_in_a_sentence(three: list[Path], tmp_path
     base, ours, theirs = three
     assert "pass three files" in run("merge", base, ours).err
     ours.write_text("a: [")
-    assert "ours cannot be read: line 2" in run("merge", *three).err
+    assert "ours could not be parsed: line 2" in run("merge", *three).err
     ours.write_bytes(b"\xff")
     assert f"{ours} is not UTF-8 text" in run("merge", *three).err
-    assert "no conflict is recorded here" in run("merge", "--resolve", "ours", theirs).err
+    assert "no conflicts are recorded in this document" in run("merge", "--resolve", "ours", theirs).err
     assert run("merge", "--resolve", "ours").code == run("merge", "--git", "a").code == 2
     assert run("merge", *three[:2], tmp_path / "absent").code == 2
 

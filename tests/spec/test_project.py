@@ -74,7 +74,7 @@ def test_a_project_inside_another_excludes_its_own(tree: Path) -> None:
     ("text", "finding"),
     [
         ("exclud: [a]\n", "simfoundry.yaml:1:1: error[SF101] unknown key `exclud`"),
-        ("exclude: a\n", "simfoundry.yaml:1:10: error[SF103] expected a list, found the text `a`"),
+        ("exclude: a\n", "simfoundry.yaml:1:10: error[SF103] expected a list, found the string `a`"),
         ("exclude: [a\n", "simfoundry.yaml:2:1: error[SF002]"),
         ("- a\n", "simfoundry.yaml:1:1: error[SF103] expected a mapping"),
     ],
@@ -103,7 +103,9 @@ def test_links_that_form_a_ring_are_findings(tree: Path) -> None:
     (tree / "gone.scene.yaml").symlink_to("nothing.scene.yaml")
     done = run("check", ".")
     for name in ("ring", "back"):
-        assert f"{name}.scene.yaml: error[SF001] the file cannot be read: its links form a cycle" in done.err
-    assert "gone.scene.yaml: error[SF001] the file cannot be read: No such file or directory" in done.err
+        assert (
+            f"{name}.scene.yaml: error[SF001] the file could not be read: its symbolic links form a cycle" in done.err
+        )
+    assert "gone.scene.yaml: error[SF001] the file could not be read: No such file or directory" in done.err
     assert done.out == "3 errors in 3 of 6 documents\n"
     assert "error[SF001]" in run("check", "ring.scene.yaml").err

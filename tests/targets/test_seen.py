@@ -261,7 +261,7 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
     [
         ("{material: glass}", "SF201", "no material is called `glass`"),
         ("{scale: 2}", "SF107", "`scale` is for meshes"),
-        ("{asset: nowhere.obj}", "SF203", "there is no file `nowhere.obj`"),
+        ("{asset: nowhere.obj}", "SF203", "file `nowhere.obj` does not exist"),
         ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "give one of `shape`, `asset`"),
         ("{}", "SF107", "and this one has none"),
         ("{colour: [1, 0, 0]}", "SF101", "unknown key `colour`"),

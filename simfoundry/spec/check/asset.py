@@ -67,7 +67,11 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         if joint.child in parents:
             c.add("SF206", (*path, "child"), f"`{joint.child}` is the child of two joints")
         if joint.child == root:
-            c.add("SF206", (*path, "child"), f"`{root}` is the first link, so it is the root and no joint's child")
+            c.add(
+                "SF206",
+                (*path, "child"),
+                f"`{root}` is the first link, so it is the root and cannot be the child of a joint",
+            )
         parents[joint.child] = joint.parent
         carriers[joint.child] = name
     for link in spec.links if c.whole else ():
@@ -79,7 +83,10 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:
             message = f"`{link}` is at the end of a chain of more than {MAX_CHAIN} links"
             c.add(
-                "SF206", ("joints", carriers[link], "parent"), message, "join links that do not move against each other"
+                "SF206",
+                ("joints", carriers[link], "parent"),
+                message,
+                "merge links that do not move relative to each other",
             )
             return
 
@@ -93,13 +100,18 @@ def _mimics(c: Checker, spec: AssetSpec) -> None:
             continue
         kind = spec.joints[leader].type if leader in spec.joints else ""
         if kind in ("fixed", "ball", "free"):
-            c.add("SF211", path, f"`{leader}` is {kind}: it has no single position to follow")
+            c.add("SF211", path, f"`{leader}` is a {kind} joint, which has no single position to follow")
         elif name == leader:
             c.add("SF211", path, f"`{name}` follows itself", "name another joint, or remove `mimic`")
         elif name in _ancestors(name, leaders):
             between = takewhile(name.__ne__, _ancestors(name, leaders))
             cycle = " → ".join(f"`{joint}`" for joint in (name, *between, name))
-            c.add("SF211", path, f"`{name}` follows itself through others: {cycle}", "remove `mimic` from one of them")
+            c.add(
+                "SF211",
+                path,
+                f"`{name}` follows itself through other joints: {cycle}",
+                "remove `mimic` from one of them",
+            )
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
@@ -131,7 +143,7 @@ def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: P
 def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
     """Check that pair ``k`` of `no_contact` contains two different objects and is unique, and add it to ``seen``."""
     if pair[0] == pair[1]:
-        c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two objects")
+        c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two different objects")
     elif frozenset(pair) in seen:
         c.add("SF212", ("no_contact", k), f"the pair `{pair[0]}` and `{pair[1]}` is listed twice", "remove one of them")
     seen.add(frozenset(pair))
@@ -142,17 +154,17 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
     if joint.type == "fixed":
         c.add("SF205", place, f"`{name}` is fixed and has no position", "remove it")
     elif joint.mimic is not None:
-        hint = "remove it, and give the position of the other"
-        c.add("SF205", place, f"`{name}` follows `{joint.mimic.joint}`", hint)
+        hint = "remove it, and specify the position of the other joint"
+        c.add("SF205", place, f"`{name}` follows `{joint.mimic.joint}`, so its position cannot be set", hint)
     elif joint.type in ("ball", "free") and not isinstance(written, PoseSpec):
-        hint = "give a rotation, as `{rpy_deg: [10, 0, 20]}`" if joint.type == "ball" else "give a pose"
-        c.add("SF103", place, f"`{name}` is {joint.type}: its position cannot be one number", hint)
+        hint = "specify a rotation, such as `{rpy_deg: [10, 0, 20]}`" if joint.type == "ball" else "specify a pose"
+        c.add("SF103", place, f"`{name}` is a {joint.type} joint: its position cannot be a single number", hint)
     elif joint.type not in ("ball", "free") and isinstance(written, PoseSpec):
-        c.add("SF103", place, f"`{name}` is {joint.type}: its position is one number, not a pose")
+        c.add("SF103", place, f"`{name}` is a {joint.type} joint: its position is a single number, not a pose")
     elif joint.type == "ball" and isinstance(written, PoseSpec) and any(written.xyz):
-        c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "give a rotation only")
+        c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "specify only a rotation")
     elif isinstance(written, Degrees) and joint.type == "prismatic":
-        c.add("SF103", place, f"`{name}` is prismatic: its position is in meters, not degrees")
+        c.add("SF103", place, f"`{name}` is a prismatic joint: its position is in meters, not degrees")
     else:
         return True
     return False
@@ -173,5 +185,5 @@ def _within(
 
 def _remedy(joint: JointSpec) -> str:
     if joint.mimic is not None:
-        return f"it follows `{joint.mimic.joint}`: give another position of that in `joints`"
-    return "give its position in `joints`"
+        return f"it follows `{joint.mimic.joint}`: specify a different position for that joint in `joints`"
+    return "specify its position in `joints`"

@@ -65,16 +65,16 @@ class Checker:
         if name in choices:
             return True
         if self._counts[Severity.ERROR] < MAX_FINDINGS:
-            hint = nearest(name, choices) or "none is defined"
+            hint = nearest(name, choices) or "none are defined"
             if what == "material" and not hint.startswith("did"):
-                hint += "; a new one is written under `materials`"
+                hint += "; define new materials under `materials`"
             self.add("SF201", path, f"no {what} is called `{name}`", hint)
         return False
 
     def reserved(self, path: Path_, what: str) -> None:
         """Report the use of the name that output formats reserve for the static world."""
-        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF use this name for the static world"
-        self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
+        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and URDF readers use this name for the static world"
+        self.add("SF213", path, message.replace("a object", "an object"), f"rename it, for example to `{WORLD}_{what}`")
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
         """Check that ``reference`` is a file with one of the suffixes in the project or in a package."""
@@ -94,7 +94,9 @@ class Checker:
             used = self._use(self.loaded.shown(reference), kinds)
             if used is None:  # a document of another kind, possibly this document itself
                 listed = " or ".join(f"`simfoundry: {kind}`" for kind in kinds)
-                self.add("SF006", path, f"`{reference}` is a document of another kind", f"it must start with {listed}")
+                self.add(
+                    "SF006", path, f"`{reference}` is a different kind of document", f"it must start with {listed}"
+                )
                 return None
             self.loaded.uses[target] = used
         return self.loaded.uses[target]
@@ -136,7 +138,7 @@ class Checker:
         """Warn about each unused material."""
         for name in materials if self.whole else ():
             if name not in used:
-                self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")
+                self.warn("SF401", ("materials", name), f"the material `{name}` is not used", "remove it")
 
 
 # Range of plausible densities [kg/m^3], from foam to osmium; the volume of a hollow object includes its cavity.

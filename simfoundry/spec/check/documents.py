@@ -40,7 +40,7 @@ def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> 
 def _conflicts(c: Checker, spec: DocumentSpec) -> None:
     for path, conflict in spec.conflicts.items():
         message = f"`{path}` is an open conflict: ours {_shown(conflict.ours)}, theirs {_shown(conflict.theirs)}"
-        c.add("SF209", ("conflicts", path), message, f"write the right value at `{path}`, then remove this entry")
+        c.add("SF209", ("conflicts", path), message, f"enter the correct value at `{path}`, then remove this entry")
 
 
 def _shown(value: object) -> str:
@@ -67,7 +67,7 @@ def check_policy(c: Checker, spec: PolicySpec) -> None:
     for key, view in spec.cameras.items():
         if view.render is not None and (view.render[0] < view.size[0] and view.render[1] < view.size[1]):
             path = ("cameras", key, "render")
-            message = f"`{key}` is rendered smaller than the policy expects, and would be upscaled"
+            message = f"`{key}` is rendered smaller than the policy expects, so it would be upscaled"
             c.add("SF104", path, message, f"render at least one side as `size`: {list(view.size)}")
 
 

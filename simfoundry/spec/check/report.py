@@ -171,7 +171,7 @@ def render_sarif(report: CheckReport) -> str:
             }
         },
         "columnKind": "unicodeCodePoints",
-        "originalUriBaseIds": {_ROOT: {"description": {"text": "The checkout, or else the folder of the command."}}},
+        "originalUriBaseIds": {_ROOT: {"description": {"text": "The CI checkout, or the current folder outside CI."}}},
         "results": [_result(d, rules, folder) for d in report.findings],
     }
     return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)

@@ -75,10 +75,10 @@ def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
             c.reserved((section, WORLD), section.removesuffix("s"))
     for name in names.robots:
         if name in names.objects:
-            message = f"an object and a robot are called `{name}`, so references to it are ambiguous"
+            message = f"an object and a robot are both called `{name}`, so references to it are ambiguous"
             c.add("SF213", ("robots", name), message, "rename one of them")
     if spec.viewpoint in names.robots and spec.viewpoint in c.names("cameras"):
-        message = f"a camera and a robot are called `{spec.viewpoint}`, so left and right are ambiguous"
+        message = f"a camera and a robot are both called `{spec.viewpoint}`, so left and right are ambiguous"
         c.add("SF213", ("viewpoint",), message, "rename one of them")
 
 
@@ -89,7 +89,7 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
     if item.asset is not None:
         _asset(c, item, item.asset, path)
     elif item.joints:
-        c.add("SF201", (*path, "joints"), f"`{name}` is a primitive and has no joints")
+        c.add("SF201", (*path, "joints"), f"`{name}` is a primitive, so it cannot have joints")
     if item.asset is None or not is_document(item.asset):
         if not item.fixed:
             c.mass(item, [item.material], spec.materials, path)
@@ -120,12 +120,12 @@ def _asset(c: Checker, item: ObjectSpec, reference: str, path: Path_) -> None:
     if not is_document(reference):
         c.file(reference, place, (*MESH_SUFFIXES, ASSET_SUFFIX))
         if item.joints:
-            c.add("SF201", (*path, "joints"), "a mesh has no joints; describe it in an `.asset.yaml`")
+            c.add("SF201", (*path, "joints"), "a mesh cannot have joints; describe the object in an `.asset.yaml` file")
         return
     for field in OF_LINKS:
         if getattr(item, field) != ObjectSpec.model_fields[field].default:
-            message = f"`{field}` has no effect here: the links of `{reference}` have their own"
-            c.add("SF107", (*path, field), message, "write it in that document")
+            message = f"`{field}` has no effect here: each link in `{reference}` defines its own"
+            c.add("SF107", (*path, field), message, "set it in that document")
     used = c.use(reference, place, ("asset/1",), (ASSET_SUFFIX,))
     if used is None:
         return
@@ -235,9 +235,9 @@ class SceneNames:
         things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
         if len(things) == 2 and self._overlap(*things):
             both = (
-                f"`{things[0]}` is given for both" if things[0] == things[1] else "one of these is a part of the other"
+                f"`{things[0]}` is used for both" if things[0] == things[1] else "one of these is a part of the other"
             )
-            message = f"`{call.predicate}` relates two objects, and {both}"
+            message = f"`{call.predicate}` relates two different objects, but {both}"
             c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
         for argument, kind in zip(call.args, call.kinds, strict=True):
             match kind:
@@ -271,7 +271,7 @@ class SceneNames:
             if asset is not None:
                 c.name(part, [*asset.links, *asset.joints], path, f"link or joint of `{name}`")
             elif self.is_known(name):
-                c.add("SF201", path, f"`{name}` has no parts, so none is called `{part}`")
+                c.add("SF201", path, f"`{name}` does not have any parts, so there is no part `{part}`")
 
     def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
         """Check the name of an object with joints, or of one of its joints."""
@@ -283,7 +283,11 @@ class SceneNames:
         if joint and asset is not None and asset.joints:
             c.name(joint, asset.joints, path, f"joint of `{name}`")
         elif not moving and self.is_known(name):
-            c.add("SF201", path, f"`{name}` has no joints" + (f", so none is called `{joint}`" if joint else ""))
+            c.add(
+                "SF201",
+                path,
+                f"`{name}` does not have any joints" + (f", so there is no joint `{joint}`" if joint else ""),
+            )
 
     def check_place(self, c: Checker, name: str, place: Place, path: Path_) -> None:
         """Check the names in the place of the object ``name``."""

@@ -49,8 +49,8 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
     empty = [at for at, (tag, below) in _groups(goal, path) if tag in ("all", "any") and not below]
     for at in empty or ([path] if not any(True for _ in texts(goal)) else []):
         never = at[-1] == "any"
-        message = "a goal that lists nothing " + ("never succeeds" if never else "succeeds at once")
-        c.warn("SF404", at, message, "name what must hold, as `Inside(cup, bowl)`")
+        message = "a goal without predicates " + ("never succeeds" if never else "succeeds immediately")
+        c.warn("SF404", at, message, "add the condition that must hold, such as `Inside(cup, bowl)`")
 
 
 def _groups(condition: Any, path: Path_) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
@@ -83,14 +83,14 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
         if asset is not None:
             check_joints(c, asset, positions, place_of, resting=False)
         elif names.is_known(name):
-            c.add("SF201", place_of, f"`{name}` has no joints")
+            c.add("SF201", place_of, f"`{name}` does not have any joints")
     names.check_order(c, start.place, {name: (*path, "place", name) for name in start.place})
 
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
     """Check that an object with a different initial pose is not fixed to the world."""
     if names.is_fixed(name):
-        message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
+        message = f"`{name}` is fixed in the scene, so its initial pose cannot be changed"
         c.add("SF107", path, message, "remove it here, or remove `fixed` in the scene")
 
 
@@ -113,13 +113,13 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             if c.name(name, names.objects, path, "object") and names.is_fixed(name):
                 c.add("SF107", path, f"`{name}` is fixed in the twin, so it cannot move", "remove it here")
             if name == spec.scene.anchor:
-                c.add("SF107", path, f"`{name}` is the anchor, which stays where it is", "remove it here")
+                c.add("SF107", path, f"`{name}` is the anchor, which must not move", "remove it here")
             if not sides:
-                c.add("SF105", path, f"no predicate is allowed for `{name}`", "list one, as `LeftOf`")
+                c.add("SF105", path, f"no predicate is allowed for `{name}`", "list at least one, such as `LeftOf`")
     for name, wanted in spec.object.objects.items() if spec.object is not None else ():
         c.name(name, names.objects, ("object", "objects", name), "object")
         if spec.object is not None and "library" in wanted.sources and spec.object.library is None:
             place = ("object", "objects", name, "sources")
-            c.add("SF107", place, f"variants of `{name}` come from a library, and there is none", "give `library`")
+            c.add("SF107", place, f"variants of `{name}` come from a library, but no library is given", "set `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")

@@ -32,9 +32,9 @@ _EXPECTED = {
     "model": "a mapping",
     "dict": "a mapping",
     "tuple": "a list",
-    "string": "a text",
+    "string": "a string",
     "bool": "`true` or `false`",
-    "int": "a whole number",
+    "int": "an integer",
     "float": "a number",
 }
 
@@ -89,7 +89,7 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
         elif member not in named:
             named.add(member)
             kind = member[-2].removesuffix("s")
-            message = f"the extended document has no {kind} `{member[-1]}`, and a new one is incomplete: {d.message}"
+            message = f"the extended document has no {kind} `{member[-1]}`, and the new one is incomplete: {d.message}"
             hint = nearest(str(member[-1]), document.added[member])
             out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True))
     return out
@@ -108,8 +108,8 @@ def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
                 todo.append(((*path, part), value))
     findings = []
     for path in sorted(found, key=str)[:MAX_FINDINGS]:
-        what = f"`{path[-1]}`" if isinstance(path[-1], str) else "an item of the list"
-        hint = _description(model, path) or "write one, or remove the key"
+        what = f"`{path[-1]}`" if isinstance(path[-1], str) else "a list item"
+        hint = _description(model, path) or "add a value, or remove the key"
         findings.append(document.finding("SF103", path, f"{what} has no value", hint))
     return findings
 
@@ -178,10 +178,10 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
             return f"the key `{last}` was renamed to `{former[last]}`", "run `simfoundry migrate` on the file"
         return f"unknown key `{last}`", nearest(str(last), names)
     if kind == "missing" and isinstance(last, int):
-        return f"values are missing: the list has {len(error['input'])}", description
+        return f"values are missing: the list has only {len(error['input'])}", description
     if kind == "missing":
         if last in SHAPE_KEYS:
-            return "a shape is missing", f"give one of {', '.join(f'`{k}`' for k in SHAPE_KEYS)}"
+            return "a shape is missing", f"specify one of {', '.join(f'`{k}`' for k in SHAPE_KEYS)}"
         return f"`{last}` is missing", description
     found = _shown(error["input"])
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
@@ -189,11 +189,11 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
         if pattern == WIRE_KEY:
             return f"{found} is not a key", PATTERNS[pattern].rule
         suggestion = _as_name(str(error["input"]))
-        rule = "a name is lower-case letters, digits and `_`, and starts with a letter"
-        return f"{found.removeprefix('the text ')} is not a name", rule + (f": `{suggestion}`" if suggestion else "")
+        rule = "a name consists of lower-case letters, digits and `_`, and starts with a letter"
+        return f"{found.removeprefix('the string ')} is not a name", rule + (f": `{suggestion}`" if suggestion else "")
     if kind == "literal_error":
         choices = [c.strip().strip("'") for c in error["ctx"]["expected"].replace(" or ", ", ").split(",")]
-        return f"{found.removeprefix('the text ')} is not valid here", nearest(str(error["input"]), choices)
+        return f"{found.removeprefix('the string ')} is not valid here", nearest(str(error["input"]), choices)
     if kind in ("too_long", "too_short", "string_too_long"):
         bound = error["ctx"].get("max_length") if "long" in kind else error["ctx"]["min_length"]
         values = "characters" if kind == "string_too_long" else "values"
@@ -235,7 +235,7 @@ def _shown(value: Any) -> str:
         case bool():
             return f"`{str(value).lower()}`"
         case str():
-            return f"the text `{value[:40]}`"
+            return f"the string `{value[:40]}`"
     return f"`{value}`"
 
 

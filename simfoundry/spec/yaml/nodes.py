@@ -56,7 +56,7 @@ class Node:
 
 
 class YamlError(Exception):
-    """Raised if a text could not be read."""
+    """Raised if a YAML text could not be read."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
         super().__init__(message)
@@ -114,7 +114,7 @@ class Composer:
         if event.tag is not None:
             raise _tag_error(event)
         if plain == "<<":
-            raise YamlError("SF004", "merge keys (<<) are not YAML 1.2", line, column, "write the keys out")
+            raise YamlError("SF004", "merge keys (<<) are not part of YAML 1.2", line, column, "write the keys out")
         self._count(line, column)
         if event.anchor is not None:
             self.anchors[event.anchor] = Node(_value(event), line, column, None, _NO_KEYS, plain)
@@ -123,7 +123,7 @@ class Composer:
     def _document(self, event: Any) -> None:
         self.documents += 1
         if self.documents > 1:
-            message = "a second document starts here; a spec is one document"
+            message = "a second document starts here, but a spec must be a single document"
             raise YamlError("SF004", message, *_mark(event), "move it to a separate file")
 
     def _start(self, event: Any) -> None:
@@ -131,7 +131,7 @@ class Composer:
         if event.tag is not None:
             raise _tag_error(event)
         if len(self.stack) > MAX_DEPTH:
-            raise YamlError("SF005", f"nested more than {MAX_DEPTH} levels deep", line, column)
+            raise YamlError("SF005", f"the document is nested more than {MAX_DEPTH} levels deep", line, column)
         if self.stack[-1].wants_key:
             raise YamlError("SF004", "a key must be a plain word", line, column)
         children: dict[str, Node] | list[Node] = {} if type(event) is yaml.MappingStartEvent else []
@@ -186,8 +186,8 @@ class Composer:
                 return
         if name in children:
             first = top.node.keys[name][0]
-            message = f"`{name}` is written twice in one mapping"
-            hint = f"it is first written in line {first}; remove or rename one of them"
+            message = f"`{name}` appears twice in one mapping"
+            hint = f"it first appears on line {first}; remove or rename one of them"
             self.duplicates.append(Diagnostic("SF003", Severity.ERROR, message, self.file, line, column, name, hint))
             return
         children[name] = node

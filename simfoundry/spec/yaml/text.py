@@ -87,26 +87,26 @@ class Document:
 
 
 def read(path: Path) -> Document:
-    """Read a file; raises :class:`YamlError` with a position if the text cannot be read."""
+    """Read a file; raises :class:`YamlError` with a position if the file could not be read."""
     try:
         if path.exists() and not path.is_file():
             raise YamlError("SF001", "this is not a file")
         size = path.stat().st_size
         if size > MAX_BYTES:
-            raise YamlError("SF005", f"the file has {size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} are read")
+            raise YamlError("SF005", f"the file is {size / 2**20:.0f} MiB; the limit is {MAX_BYTES // 2**20} MiB")
         data = path.read_bytes()
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8").splitlines(keepends=True) or [""]
         fresh = before[-1].endswith(("\n", "\r"))
         line, column = len(before) + fresh, 1 if fresh else len(before[-1]) + 1
-        message = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
+        message = f"the byte 0x{data[error.start]:02x} is not valid UTF-8"
         raise YamlError("SF001", message, line, column, "save the file as UTF-8") from None
     except OSError as error:
         if error.errno == errno.ELOOP:
-            hint = "let one of the links point to a file, or remove them"
-            raise YamlError("SF001", "the file cannot be read: its links form a cycle", hint=hint) from None
-        raise YamlError("SF001", f"the file cannot be read: {error.strerror or error}") from None
+            hint = "make one of the links point to a file, or remove them"
+            raise YamlError("SF001", "the file could not be read: its symbolic links form a cycle", hint=hint) from None
+        raise YamlError("SF001", f"the file could not be read: {error.strerror or error}") from None
     return parse(text, str(path))
 
 
@@ -126,10 +126,10 @@ def _conflict(text: str) -> int:
 
 
 def parse(text: str, file: str = "<text>") -> Document:
-    """Read a text; raises :class:`YamlError` with a position if it cannot be read."""
+    """Read a text; raises :class:`YamlError` with a position if it could not be parsed."""
     conflict = _conflict(text)
     if conflict:
-        hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
+        hint = "choose the lines to keep and remove the markers, or merge semantically: `simfoundry git install`, then "
         hint += f"`git checkout --merge -- {file}`"
         raise YamlError("SF209", "unresolved git conflict", conflict, 1, hint)
     odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
@@ -137,7 +137,7 @@ def parse(text: str, file: str = "<text>") -> Document:
         before = text[: odd.start()].splitlines(keepends=True)
         whole = not before or before[-1].endswith(("\n", "\r"))
         line, column = len(before) + whole, 1 if whole else len(before[-1]) + 1
-        message = f"the character U+{ord(odd.group()):04X} is not allowed in a text"
+        message = f"the character U+{ord(odd.group()):04X} is not allowed in YAML"
         raise YamlError("SF002", message, line, column, "remove it, or write it as an escape in double quotes")
     composer = Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -153,13 +153,17 @@ def parse(text: str, file: str = "<text>") -> Document:
 
 # Parser messages with the corresponding message and hint for users.
 _SYNTAX = (
-    ("mapping values are not allowed", "a `:` is not allowed here", "check the indentation, or quote the text"),
-    ("could not find expected ':'", "a `:` is missing", "a key is followed by a colon and a space"),
-    ("expected <document start>", "unexpected text after the end of the document", "indent all top-level keys alike"),
-    ("expected key", "expected a key", "indent it like the keys beside it"),
-    ("expected '-' indicator", "expected a `-`", "indent it like the items beside it"),
-    ("expected ',' or ']'", "expected a `,` or `]`", "the list that starts in line {start} is not closed"),
-    ("expected ',' or '}'", "expected a `,` or `}}`", "the mapping that starts in line {start} is not closed"),
+    ("mapping values are not allowed", "a `:` is not allowed here", "check the indentation, or quote the string"),
+    ("could not find expected ':'", "a `:` is missing", "write a colon and a space after the key"),
+    (
+        "expected <document start>",
+        "unexpected text after the end of the document",
+        "use the same indentation for all top-level keys",
+    ),
+    ("expected key", "expected a key", "indent it like the other keys"),
+    ("expected '-' indicator", "expected a `-`", "indent it like the other items"),
+    ("expected ',' or ']'", "expected a `,` or `]`", "the list that starts on line {start} is not closed"),
+    ("expected ',' or '}'", "expected a `,` or `}}`", "the mapping that starts on line {start} is not closed"),
     ("expected node content", "expected a value", "check for an unclosed bracket or an extra comma"),
     ("unexpected end of stream", "these quotes are not closed", ""),
     ("unknown escape character", "unknown escape sequence", "write a backslash twice in double quotes"),
@@ -184,6 +188,6 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
         found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
         if found == "\t":
             return YamlError("SF002", "tabs are not allowed here", line, column, "indent with spaces, not tabs")
-        message = f"an unquoted text cannot start with `{found}`"
+        message = f"an unquoted string cannot start with `{found}`"
         return YamlError("SF002", message, line, column, "put it in double quotes")
     return YamlError("SF002", problem, line, column)

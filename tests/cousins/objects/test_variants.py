@@ -160,7 +160,7 @@ def test_a_recipe_without_its_library_is_found() -> None:
     text = f"simfoundry: cousins/1\nname: r\ntwin: {twin}\nobject: {{objects: {{cup: {{sources: [library]}}}}}}\n"
     found = load(path, text=text).findings
     assert [f.message for f in found if "library" in f.message] == [
-        "variants of `cup` come from a library, and there is none"
+        "variants of `cup` come from a library, but no library is given"
     ]
 
 

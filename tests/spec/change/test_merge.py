@@ -595,7 +595,7 @@ def test_a_text_that_says_it_already_is_taken_as_it_is() -> None:
 @pytest.mark.parametrize("broken", ["a: [", "- a\n", "a: 1\na: 2\n", "simfoundry: task/1\n", "", "a: !tag 1\n"])
 def test_what_is_no_document_of_the_kind_is_refused(broken: str) -> None:
     for texts in ((COMMENTED, broken, COMMENTED), (COMMENTED, COMMENTED, broken)):
-        with pytest.raises(UnmergeableError, match=r"cannot be read: line|is not a document|different kinds"):
+        with pytest.raises(UnmergeableError, match=r"could not be parsed: line|is not a document|different kinds"):
             merge_texts(*texts)
 
 
@@ -621,13 +621,15 @@ def test_paths_are_read_back(path: tuple[str, ...]) -> None:
 
 def test_deciding_says_what_it_cannot() -> None:
     data = {**BASES["scene"], "conflicts": MergeConflict(("objects", "spoon", "mass"), 1, 2, 3).record()}
-    with pytest.raises(ResolveError, match="no conflict is recorded here"):
+    with pytest.raises(ResolveError, match="no conflicts are recorded in this document"):
         resolve(plain_tree(BASES["scene"]), SceneSpec, "ours")
     entries = {"objects.spoon.mass": {"base": 1, "ours": 2, "theirs": 3}}
     data = {**BASES["scene"], "conflicts": entries}
     with pytest.raises(ResolveError, match=r"`objects\.spoon` no longer exists"):
         resolve(plain_tree(data), SceneSpec, "ours")
-    with pytest.raises(ResolveError, match=r"no conflict is recorded at `objects\.cup`; there is one at `objects\.spo"):
+    with pytest.raises(
+        ResolveError, match=r"no conflict is recorded at `objects\.cup`; recorded conflicts: `objects\.spo"
+    ):
         resolve(plain_tree(data), SceneSpec, "ours", ["objects.cup"])
 
 

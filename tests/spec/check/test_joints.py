@@ -27,7 +27,12 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
     ("right", "wrong", "code", "words"),
     [
         ("neck: {deg: 30}", "neck: {deg: 70}", "SF205", "`neck` at 70 deg is outside its limits"),
-        ("neck: {deg: 30}", "neck: {yaw_deg: 30}", "SF103", "`neck` is revolute: its position is one number"),
+        (
+            "neck: {deg: 30}",
+            "neck: {yaw_deg: 30}",
+            "SF103",
+            "`neck` is a revolute joint: its position is a single number",
+        ),
         ("neck: {deg: 30}", "left_hinge: 0.1", "SF205", "`left_hinge` follows `right_hinge`"),
         (
             "multiplier: -0.5",
@@ -63,10 +68,20 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
             "SF212",
             "the pair `lamp.left` and `lamp.right` is listed twice",
         ),
-        ("[cup, lamp.shade]", "[cup]", "SF105", "values are missing: the list has 1"),
+        ("[cup, lamp.shade]", "[cup]", "SF105", "values are missing: the list has only 1"),
         ("[[shade, foot]]", "[[shade, foot], [foot, shade]]", "SF212", "the pair `foot` and `shade` is listed twice"),
-        ("mimic: {joint: neck,", "mimic: {joint: shoulder,", "SF211", "`shoulder` is ball: it has no single position"),
-        ("mimic: {joint: neck,", "mimic: {joint: left_hinge,", "SF211", "`left_hinge` follows itself through others"),
+        (
+            "mimic: {joint: neck,",
+            "mimic: {joint: shoulder,",
+            "SF211",
+            "`shoulder` is a ball joint, which has no single position",
+        ),
+        (
+            "mimic: {joint: neck,",
+            "mimic: {joint: left_hinge,",
+            "SF211",
+            "`left_hinge` follows itself through other joints",
+        ),
     ],
 )
 def test_what_is_wrong_is_found(tmp_path: Path, right: str, wrong: str, code: str, words: str) -> None:

@@ -96,7 +96,7 @@ def test_where_comments_belong(text: str, expected: dict[Path_, list[str]]) -> N
 
 
 def test_a_key_written_twice_is_a_finding() -> None:
-    with pytest.raises(SpecError, match="`a` is written twice"):
+    with pytest.raises(SpecError, match="`a` appears twice"):
         read_tree(parse("a: 1 # x\na: 2 # y\n"))
 
 

@@ -46,7 +46,7 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
     trees = [_tree(text, name) for text, name in ((base, "base"), (ours, "ours"), (theirs, "theirs"))]
     kinds = {str(tree.value[KIND].data) for tree in trees if KIND in tree.value}
     if len(kinds) > 1:
-        raise UnmergeableError(f"these are documents of different kinds: {', '.join(sorted(kinds))}")
+        raise UnmergeableError(f"the documents are of different kinds: {', '.join(sorted(kinds))}")
     merged = merge_trees(*trees)
     for text, tree in ((ours, trees[1]), (theirs, trees[2])):
         if identical(merged.tree, tree):
@@ -67,7 +67,7 @@ def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnost
         return []
     for d in found:
         if d.code in _UNREADABLE:
-            raise UnmergeableError(f"the merged text cannot be read: {d.message}")
+            raise UnmergeableError(f"the merged text could not be parsed: {d.message}")
     known = {(d.code, d.path, d.message) for text in (ours, theirs) for d in _errors(path, text)}
     return [d for d in found if (d.code, d.path, d.message) not in known]
 
@@ -86,10 +86,10 @@ def _tree(text: str, name: str) -> YamlTree:
             return YamlTree({})
         tree = read_tree(document)
     except YamlError as error:
-        raise UnmergeableError(f"{name} cannot be read: line {error.line}: {error.message}") from None
+        raise UnmergeableError(f"{name} could not be parsed: line {error.line}: {error.message}") from None
     except SpecError as error:
         first = error.diagnostics[0]
-        raise UnmergeableError(f"{name} cannot be read: line {first.line}: {first.message}") from None
+        raise UnmergeableError(f"{name} could not be parsed: line {first.line}: {first.message}") from None
     if not isinstance(tree.value, dict):
         raise UnmergeableError(f"{name} is not a document")
     return tree
@@ -113,7 +113,7 @@ def resolve(
     data = copied(tree.data)
     entries = data.get(CONFLICTS) if isinstance(data, dict) else None
     if not isinstance(entries, dict) or not entries:
-        raise ResolveError("no conflict is recorded here")
+        raise ResolveError("no conflicts are recorded in this document")
     keys = _chosen(entries, model, list(chosen))
     names = dict[tuple[Path_, str], str]()
     for key in keys:
@@ -140,7 +140,7 @@ def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[
         inside = [key for key in entries if key == wanted or parts(key)[: len(path)] == path]
         if not inside:
             listed = ", ".join(f"`{key}`" for key in entries)
-            raise ResolveError(f"no conflict is recorded at `{wanted}`; there is one at {listed}")
+            raise ResolveError(f"no conflict is recorded at `{wanted}`; recorded conflicts: {listed}")
         for key in inside:
             found |= dict.fromkeys([key, *_rivals(entries, model, parts(key))])
     return [key for key in entries if key in found]
