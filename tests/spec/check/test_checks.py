@@ -90,7 +90,7 @@ def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
         ("left_of: cup", "left_of: cpu", "SF201", 7, "no object is called `cpu`"),
         ("left_of: cup", "left_of: bowl", "SF208", 7, "depends on itself: `bowl` → `bowl`"),
         ("{on: desk, left", "{on: cabinet.shelf, left", "SF201", 7, "no link or joint of `cabinet`"),
-        ("{on: desk, left", "{on: cup.rim, left", "SF201", 7, "`cup` has no parts"),
+        ("{on: desk, left", "{on: cup.rim, left", "SF201", 7, "`cup` does not have any parts"),
         ("left_of: cup}", "gap: 0.1}", "SF107", 7, "`gap` is for"),
         ("left_of: cup}", "left_of: cup, right_of: cup}", "SF107", 7, "give one of `left_of`, `right_of`"),
         ("left_of: cup}", "xy: [0, 0], left_of: cup}", "SF107", 7, "give one of `xy`, `local_xy`, `left_of`"),
@@ -111,7 +111,7 @@ def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, lin
     ("right", "wrong", "code", "line", "words"),
     [
         ("kitchen.scene", "kitchn.scene", "SF203", 3, "file `kitchn.scene.yaml` does not exist"),
-        ("kitchen.scene.yaml", "cabinet.asset.yaml", "SF006", 3, "of another kind"),
+        ("kitchen.scene.yaml", "cabinet.asset.yaml", "SF006", 3, "a different kind of document"),
         ("robots: [arm]", "robots: [leg]", "SF201", 5, "no robot is called `leg`"),
         ("Grasped(cup, arm)", "Grasped(cup, leg)", "SF201", 6, "no robot is called `leg`"),
         ("Closed(cabinet.drawer)", "Closed(cup)", "SF201", 6, "`cup` does not have any joints"),

@@ -40,7 +40,12 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
             "SF205",
             "`right_hinge` at -60 deg is outside its limits, -40 to 40 deg",
         ),
-        ("shoulder: {rpy_deg: [20, -10, 30]}", "shoulder: 0.3", "SF103", "`shoulder` is ball: its position cannot be"),
+        (
+            "shoulder: {rpy_deg: [20, -10, 30]}",
+            "shoulder: 0.3",
+            "SF103",
+            "`shoulder` is a ball joint: its position cannot be",
+        ),
         (
             "shoulder: {rpy_deg: [20, -10, 30]}",
             "shoulder: {xyz: [0, 0, 1]}",
@@ -51,7 +56,7 @@ def test_the_documents_are_sound(tmp_path: Path) -> None:
             "rests: {xyz: [0.1, 0, 0.05], yaw_deg: 40}",
             "rests: {deg: 40}",
             "SF103",
-            "`rests` is free: its position",
+            "`rests` is a free joint: its position",
         ),
         ("rests: {xyz: [0.1, 0, 0.05], yaw_deg: 40}", "rests: {xyz: [0.1, 0]}", "SF105", "values are missing"),
         (
