@@ -259,7 +259,7 @@ def test_a_finding_of_a_whole_file_has_no_line(tree: Path) -> None:
     assert done.code == 2 and "there is no file missing.scene.yaml" in done.err
     (tree / "large.scene.yaml").write_bytes(b" " * (5 * 2**20))
     out = run("check", "--format", "github", "large.scene.yaml").out
-    assert out.startswith("::error file=large.scene.yaml,title=SF005::the file has 5 MiB")
+    assert out.startswith("::error file=large.scene.yaml,title=SF005::the file is 5 MiB")
     region = sarif(run("check", "--format", "sarif", "large.scene.yaml"))["results"][0]["locations"][0]
     assert "region" not in region["physicalLocation"] and "logicalLocations" not in region
 
