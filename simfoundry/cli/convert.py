@@ -15,6 +15,7 @@ from simfoundry.cli.output import (
     DONE,
     FINDINGS,
     CannotError,
+    plural,
     print_document,
     print_json,
     progress_bar,
@@ -237,8 +238,8 @@ def _listed(things: list[str], most: int = 4) -> str:
 
 def _counts(report: ImportReport) -> str:
     words = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
-    found = [(getattr(report, plural), plural, single) for plural, single in (words | {"meshes": "mesh"}).items()]
-    return ", ".join(f"{n} {single if n == 1 else plural}" for n, plural, single in found if n)
+    found = [(getattr(report, several), several, single) for several, single in (words | {"meshes": "mesh"}).items()]
+    return ", ".join(f"{n} {single if n == 1 else several}" for n, several, single in found if n)
 
 
 def _table(reports: list[ImportReport]) -> str:
@@ -249,7 +250,7 @@ def _table(reports: list[ImportReport]) -> str:
         if report.error:
             lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
         else:
-            notes = f"; {len(report.notes)} different from the file" if report.notes else ""
+            notes = f"; {plural(len(report.notes), 'difference')} from the file" if report.notes else ""
             lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
             lines += [f"  {line}" for line in _warned_of_masses(report)]
     refused = sum(bool(report.error) for report in reports)

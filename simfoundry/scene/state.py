@@ -79,7 +79,7 @@ def _is_free(joint: Joint) -> bool:
 
 
 def object_at(item: SceneObject, state: SceneState) -> SceneObject:
-    """Return an object with the pose and joint positions in a state, without its other variants."""
+    """Return a copy of an object with its pose and joint positions from a state, without its other variants."""
     at = state.of_object(item)
     joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
     return replace(item, X_WO=state.poses[item.name], joints=joints, variants=())

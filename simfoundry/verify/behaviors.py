@@ -63,7 +63,7 @@ _WEIGHT = rigs.GRAVITY  # of one kilogram [N]
 
 
 def free_fall() -> Measurement:
-    """Measure the distance that an asymmetric body falls in 3 s, as a ratio to g t^2 / 2."""
+    """Measure how far an asymmetric body falls in 3 s, as a fraction of g t^2 / 2."""
     stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
     moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
     first, last = moments[0], moments[-1]

@@ -227,7 +227,7 @@ def test_two_scenes_for_one_folder_are_refused(project: Path) -> None:
     done = run("compile", "a.scene.yaml", "more/a.scene.yaml", "-o", "build")
     assert done.code == 2 and "would both be written to build/a" in done.err and not (project / "build").exists()
     (project / "empty").mkdir()
-    assert "no *.scene.yaml below empty" in run("compile", "empty").err
+    assert "could not find any *.scene.yaml file below empty" in run("compile", "empty").err
 
 
 def test_files_of_others_are_kept_in_each_folder(project: Path) -> None:

@@ -74,7 +74,7 @@ def test_one_bad_file_of_many_stops_no_other(cup: Path, tmp_path: Path) -> None:
     assert result.return_value == 2
     bad, good, total = result.output.splitlines()
     assert bad.startswith(f"{tmp_path}/in/bad.urdf") and "refused: 1: the file is not valid XML" in bad
-    assert good.endswith("1 body, 1 link; 1 different from the file")
+    assert good.endswith("1 body, 1 link; 1 difference from the file")
     assert total == "1 of 2 imported"
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.yaml")) == ["deep/good.asset.yaml"]
 

@@ -238,7 +238,7 @@ def test_the_page_of_many_tasks_folds_them_and_shows_what_they_say_together() ->
     assert text.count("<summary><b>cousin") == 13 and "a 1/1; b 0/1" in text
     assert "All tasks combined" in text and "13/13" in text and "2/13" in text
     assert "no result" in text and "1 missing" in text
-    assert "<th>a and b</th><td>mujoco</td><td>13</td><td>11</td><td>0</td><td>0.000977</td>" in text
+    assert "<th>a vs. b</th><td>mujoco</td><td>13</td><td>11</td><td>0</td><td>0.000977</td>" in text
 
 
 def test_the_page_escapes_what_it_is_told() -> None:

@@ -261,7 +261,7 @@ def test_samples_smooth_the_color_and_leave_the_rest_alone() -> None:
     np.testing.assert_array_equal(rough.objects, smooth.objects)
     steps = [np.abs(np.diff(r.color.astype(float), axis=1)).max(axis=-1) for r in (rough, smooth)]
     assert np.percentile(steps[1], 99) < np.percentile(steps[0], 99)
-    with pytest.raises(ValueError, match="samples=0"):
+    with pytest.raises(ValueError, match="samples must be at least 1"):
         raycast(scene, camera, samples=0)
 
 

@@ -42,7 +42,7 @@ def test_an_arm_reaches_down_to_a_ring_around_it(scene: Scene, away: float, reac
 def test_what_cannot_be_checked_is_said(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     here = np.array([0.5, 0.0, 0.0])
     found = ArmReach(scene, ("other",))(here, here + 0.04)
-    assert not found.checked and found.why == "no model of other is installed; `simfoundry doctor` shows how to get it"
+    assert not found.checked and found.why == "no model of other is installed; run `simfoundry doctor` for instructions"
     monkeypatch.setitem(sys.modules, "mink", None)
     found = ArmReach(scene, ("arm",))(here, here + 0.04)
     assert found.why == "inverse kinematics needs mink; install with `pip install 'simfoundry[expert]'`"

@@ -71,5 +71,5 @@ def test_a_center_of_mass_alone_keeps_the_inertia_of_the_parts(tmp_path: Path) -
 
 @pytest.mark.parametrize("body", ["    mass: 1\n", "    mass: 1\n    parts: {p: {shape: {sphere: 1}, use: visual}}\n"])
 def test_a_link_that_touches_nothing_must_say_its_inertia(tmp_path: Path, body: str) -> None:
-    with pytest.raises(SpecError, match=r"touches nothing needs `mass` and `inertial\.inertia`"):
+    with pytest.raises(SpecError, match=r"without collision parts needs `mass` and `inertial\.inertia`"):
         _links(tmp_path, body)

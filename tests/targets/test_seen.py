@@ -263,7 +263,7 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
         ("{scale: 2}", "SF107", "`scale` is for meshes"),
         ("{asset: nowhere.obj}", "SF203", "file `nowhere.obj` does not exist"),
         ("{shape: {sphere: 1}, asset: tile.obj}", "SF107", "give one of `shape`, `asset`"),
-        ("{}", "SF107", "and this one has none"),
+        ("{}", "SF107", "must override at least one property"),
         ("{colour: [1, 0, 0]}", "SF101", "unknown key `colour`"),
     ],
 )
@@ -286,7 +286,7 @@ def test_no_variant_is_called_default(tmp_path: Path) -> None:
     path = write_everything(tmp_path)
     path.write_text(path.read_text().replace("      red: {", "      default: {"))
     (finding,) = load(path).errors
-    assert finding.code == "SF107" and "no variant may be called `default`" in finding.message
+    assert finding.code == "SF107" and "no variant may be named `default`" in finding.message
 
 
 # -- lights and cameras ---------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ FOOT = 0.02  # [m] both objects must reach below this height above the support
 def hue_and_vivid(color: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Mask]:
     """Return the smoothed hue of an RGB image, and a mask of its vivid pixels, which are neither gray nor dark.
 
-    A full turn of the hue is 180.
+    Hue values range from 0 to 180, where 180 is a full circle.
     """
     import cv2
 

@@ -212,7 +212,7 @@ _DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1],
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """An unwrapped mesh, whose vertices are duplicated along the borders between charts.
+    """An unwrapped mesh whose vertices are duplicated along chart seams.
 
     ``source`` is the index of each vertex in the original mesh, shape (n,). ``faces`` index the new vertices, shape
     (m, 3), in the order of the original faces. ``texel`` are positions in the texture [texels, x right, y down], shape

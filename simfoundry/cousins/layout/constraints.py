@@ -318,7 +318,7 @@ def too_full(
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
-    """Return the reasons why the objects that must stand on the given places cannot all fit; empty if they might.
+    """Return the reasons why the objects that must rest on given surfaces cannot fit together, or none if they might.
 
     Args:
         twin: The twin, whose unmoved objects stay where they are.

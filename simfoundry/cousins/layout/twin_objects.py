@@ -32,7 +32,7 @@ BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
 
 
 class TwinRobots:
-    """Robots in a twin in their initial configuration, as obstacles and for reachability tests."""
+    """The robots in a twin, in their initial configurations, used as obstacles and for reachability tests."""
 
     def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
         self._scene, self.names = scene, names

@@ -312,7 +312,9 @@ class _UrdfReader:
                 joint.type = "free"
             case "planar":
                 joint.type = "fixed"
-                self.draft.dropped(f"motion of {what}", "planar joints are not supported, so it is fixed")
+                self.draft.dropped(
+                    f"motion of {what}", "planar joints are not supported, so the joint became a fixed joint"
+                )
             case _:
                 raise element.refused(f"{what} has the type `{joint.type}`, which is not a URDF joint type")
 

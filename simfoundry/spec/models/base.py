@@ -46,7 +46,7 @@ PATTERNS = {
     JOINT_NAME: PatternText("joint", "joint", "the name of a joint, as the robot's own model has it"),
     WIRE_KEY: PatternText("key", "key", "a key of the policy's own, as `observation/wrist_image_left`"),
     VARIABLE: PatternText(
-        "VARIABLE", "environment variable", "the name of an environment variable in capitals, not the key itself"
+        "VARIABLE", "environment variable", "the name of an environment variable (uppercase), not the key itself"
     ),
 }
 
@@ -357,7 +357,7 @@ class BodySpec(Model):
 
 
 class Conflict(Model):
-    """Two conflicting edits of a value; the document contains ours until the conflict is resolved."""
+    """Two conflicting edits to a value; the document keeps our version until the conflict is resolved."""
 
     base: Any = Field(None, description="Value before either edit.")
     ours: Any = Field(None, description="Value on our side, which the document contains.")

@@ -39,7 +39,9 @@ class DepthImage(Model):
 class Masks(Model):
     """Instance masks: an image whose pixel values identify the objects."""
 
-    image: FileName = Field(description="Mask image, relative to this document; must have the size of the color image.")
+    image: FileName = Field(
+        description="Mask image, relative to this document; must be the same size as the color image."
+    )
     background: tuple[int, ...] = Field(
         (0,), max_length=256, description="Pixel values that do not belong to any object."
     )

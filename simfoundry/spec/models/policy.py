@@ -21,7 +21,7 @@ WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 def _variable(text: str) -> str:
     """Reject a text that is not a variable name, without echoing it, because it may be a secret key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
-        raise fault("sf104", "expected the name of an environment variable in capitals, not the key itself")
+        raise fault("sf104", "expected the name of an environment variable (uppercase), not the key itself")
     return text
 
 

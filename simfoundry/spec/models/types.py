@@ -55,7 +55,7 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
-    """Return a mapping from each former key of a model to the current key."""
+    """Return a mapping from each of a model's old keys to its current key."""
     marks = ((name, mark) for name, info in model.model_fields.items() for mark in info.metadata)
     return {mark.key: name for name, mark in marks if isinstance(mark, FormerKey)}
 

@@ -36,7 +36,7 @@ class Notes:
 
 
 def read_notes(text: str, root: Node, first: str) -> Notes:
-    """Return the comments of a text that was parsed into ``root``.
+    """Return the comments in the text that was parsed into ``root``.
 
     Comments at the top are assigned to the document if ``first`` is its first key.
     """

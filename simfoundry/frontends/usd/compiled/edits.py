@@ -391,7 +391,7 @@ def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
     shape = data.get("shape")
     if not isinstance(shape, dict):
         if str(data.get("asset", "")).endswith(".yaml"):
-            return {}, "it was scaled, but the size of an asset document is fixed"
+            return {}, "it was scaled, but an object from an asset document cannot be scaled"
         return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "meshes only scale uniformly")
     kind, value = next(iter(shape.items()))
     if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
