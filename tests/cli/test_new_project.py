@@ -78,7 +78,7 @@ def test_a_file_outside_of_no_project_says_what_to_mark(folder: Path) -> None:
         "simfoundry: task/1\nname: a\nscene: ../scenes/desk.scene.yaml\ninstruction: Lift it.\ngoal: Lifted(mug)\n"
     )
     done = run("check", "tasks")
-    assert done.code == 1 and f"or put an empty `{MARKER}` into {folder}" in done.err
+    assert done.code == 1 and f"or create an empty `{MARKER}` in {folder}" in done.err
     (folder / MARKER).touch()
     assert "SF204" not in run("check", "tasks").err
 
