@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FOLDER
-from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
 from simfoundry.cli.scenes import settle_table
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("capture", type=ANY)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder for the scene. Default: build/<capture name>.")
 @click.option("--frame", help="Name of the frame to reconstruct. Default: the first.")
@@ -30,11 +30,11 @@ def capture_command(
     from simfoundry.capture.run import run_capture
 
     target = out or Path("build") / _name(capture)
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         run = run_capture(capture, target, frame, progress, Cache.default(), force)
-    verdict = FINDINGS if strict and not run.report["passed"] else DONE
+    verdict = output.FINDINGS if strict and not run.report["passed"] else output.DONE
     if as_json:
-        print_json({"scene": str(run.scene_file), **run.report})
+        output.print_json({"scene": str(run.scene_file), **run.report})
         return verdict
     click.echo(settle_table(run.settled.to_json()["objects"]))
     for reason in run.reconstruction.skipped:
@@ -50,7 +50,7 @@ def _name(capture: Path) -> str:
     return capture.name.split(".")[0]
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("capture", type=ANY, required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
@@ -65,12 +65,12 @@ def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool
     from simfoundry.evaluate.demo import demonstrate
 
     folder = capture or own_capture()
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
         progress("running a task with an arm", 0.7)
         arm = demonstrate(demo.run.scene_file, out / "arm", force)
     if as_json:
-        print_json(demo.to_json() | {"arm": arm.to_json()})
+        output.print_json(demo.to_json() | {"arm": arm.to_json()})
         return
     click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
     click.echo(settle_table(demo.run.settled.to_json()["objects"]))

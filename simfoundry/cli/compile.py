@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FOLDER
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar, subcommand
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.targets.batch import CompileJob, CompileOutcome
@@ -25,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("scenes", nargs=-1, required=True, type=ANY)
 @click.option(
     "-t", "--target", "targets", multiple=True,
@@ -64,7 +65,7 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
     from simfoundry.scene.lower import lower_file
     from simfoundry.targets.build import LOSSES, TargetsError, build, report, table
 
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
         failures: Mapping[str, str] = {}
         try:
@@ -72,14 +73,14 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
         except TargetsError as error:
             artifacts, failures = error.artifacts, error.failures
     if not artifacts:
-        raise CannotError("\n".join(_failed(failures)))
+        raise SimfoundryError("\n".join(_failed(failures)))
     losses = report(lowered, artifacts)
     lossy = any(artifact.losses for artifact in artifacts)
     if as_json:
         entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
         failed = {"failed": failures} if failures else {}
-        print_json({"out": str(out), "targets": entries, "losses": losses, **failed})
-        return FINDINGS if failures or (strict and lossy) else DONE
+        output.print_json({"out": str(out), "targets": entries, "losses": losses, **failed})
+        return output.FINDINGS if failures or (strict and lossy) else output.DONE
     width = max(len(artifact.target) for artifact in artifacts)
     for artifact in artifacts:
         click.echo(f"{artifact.target:<{width}}  {out / artifact.target / artifact.entry}")
@@ -92,7 +93,7 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
         click.echo(f"reasons and amounts: {out / LOSSES}")
     for line in _failed(failures):
         click.echo(f"Error: {line}", err=True)
-    return FINDINGS if failures or (strict and lossy) else DONE
+    return output.FINDINGS if failures or (strict and lossy) else output.DONE
 
 
 def _failed(failures: Mapping[str, str]) -> list[str]:
@@ -129,7 +130,7 @@ def compile_many(
         find_target(name)  # report a misspelled target once, not once per scene
     jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
     _ensure_apart(jobs, paths)
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         if len(jobs) == 1:
             outcomes = [compile_job(jobs[0])]
         else:
@@ -138,22 +139,22 @@ def compile_many(
     found = Counter(outcome.state for outcome in outcomes)
     counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
     if as_json:
-        print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
+        output.print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
     else:
         _print(outcomes, found)
     lossy = any(any(outcome.losses.values()) for outcome in outcomes)
-    return FINDINGS if found[FAILED] or (strict and lossy) else DONE
+    return output.FINDINGS if found[FAILED] or (strict and lossy) else output.DONE
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
-    """Raise :class:`CannotError` if there are no scenes, or if two scenes would share an output folder."""
+    """Raise :class:`SimfoundryError` if there are no scenes, or if two scenes would share an output folder."""
     if not jobs:
-        raise CannotError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
+        raise SimfoundryError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
     taken: dict[Path, Path] = {}
     for job in jobs:
         other = taken.setdefault(job.out, job.scene)
         if other != job.scene:
-            raise CannotError(
+            raise SimfoundryError(
                 f"{other} and {job.scene} would both be written to {job.out}; pass a folder that contains both"
             )
 
@@ -168,7 +169,7 @@ def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
         more = "" if outcome.state == FAILED else f"  {outcome.out}" + (f"  (lost: {lost})" if lost else "")
         click.echo(f"{outcome.scene:<{width}}  {outcome.state:<{len(CURRENT)}}{more}".rstrip())
     for outcome in outcomes:
-        print_findings(list(outcome.findings))
+        output.print_findings(list(outcome.findings))
         if outcome.error:
             click.echo(f"{outcome.scene}: {outcome.error}", err=True)
     click.echo(", ".join(f"{found[state]} {state}" for state in (COMPILED, CURRENT, FAILED) if found[state]))

@@ -9,20 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.api.scenes import is_compiled_stage
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, FILE, NEW_FILE, pairs
-from simfoundry.cli.output import (
-    CANNOT,
-    DONE,
-    FINDINGS,
-    CannotError,
-    plural,
-    print_document,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 
@@ -37,7 +25,7 @@ HEADINGS = {
 }
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path),
@@ -83,24 +71,24 @@ def import_command(
 
     if onto is not None or (len(files) == 1 and is_compiled_stage(files[0])):
         if len(files) > 1:
-            raise CannotError("--onto accepts only one stage")
+            raise SimfoundryError("--onto accepts only one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
     for name, path in packages.items():
         if not Path(path).is_dir():
-            raise CannotError(f"--package {name}={path}: `{path}` is not a folder")
+            raise SimfoundryError(f"--package {name}={path}: `{path}` is not a folder")
     folders = {name: Path(path) for name, path in packages.items()}
     options = ImportOptions(folders, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
-        with progress_bar(as_json) as progress:
+        with output.progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
             report = import_file(files[0], out or Path(_default_name(files[0])), options)
         if as_json:
-            print_json(report.to_json())
+            output.print_json(report.to_json())
         else:
             click.echo(_described(report))
-        return FINDINGS if strict and report.notes else DONE
+        return output.FINDINGS if strict and report.notes else output.DONE
     if out is None or out.name.endswith(".yaml"):
-        raise CannotError("importing several files requires an output folder; pass `-o FOLDER`")
+        raise SimfoundryError("importing several files requires an output folder; pass `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
 
 
@@ -113,14 +101,14 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     notes = [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes]
     if as_json:
         report = {"source": str(path), "out": str(out), "changed": changed}
-        print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
+        output.print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
     else:
         click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "no changes"))
         for note in imported.notes:
             click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
         for disputed in imported.disputed:
             click.echo(f"  edited in both the stage and the document: {disputed}; the values in the stage were kept")
-    return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
+    return output.FINDINGS if strict and (imported.notes or imported.disputed) else output.DONE
 
 
 def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
@@ -128,23 +116,23 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
 
     jobs = list(_jobs(files, out))
     if not jobs:
-        raise CannotError(
+        raise SimfoundryError(
             f"could not find any file to import below {', '.join(map(str, files))}; "
             f"supported extensions: {', '.join(model_suffixes())}"
         )
     reports = []
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         for done, (source, target) in enumerate(jobs):
             progress(source.name, done / len(jobs))
             reports.append(_import_one(source, target, options))
     refused = [report for report in reports if report.error]
     if as_json:
-        print_json({"files": [report.to_json() for report in reports]})
+        output.print_json({"files": [report.to_json() for report in reports]})
     else:
         click.echo(_table(reports))
     if refused:
-        return CANNOT
-    return FINDINGS if strict and any(report.notes for report in reports) else DONE
+        return output.CANNOT
+    return output.FINDINGS if strict and any(report.notes for report in reports) else output.DONE
 
 
 def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
@@ -250,7 +238,7 @@ def _table(reports: list[ImportReport]) -> str:
         if report.error:
             lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
         else:
-            notes = f"; {plural(len(report.notes), 'difference')} from the file" if report.notes else ""
+            notes = f"; {output.plural(len(report.notes), 'difference')} from the file" if report.notes else ""
             lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
             lines += [f"  {line}" for line in _warned_of_masses(report)]
     refused = sum(bool(report.error) for report in reports)
@@ -258,7 +246,7 @@ def _table(reports: list[ImportReport]) -> str:
     return "\n".join(lines)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("task", type=FILE)
 @click.option(
     "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
@@ -281,17 +269,17 @@ def export_command(task: Path, format_: str, out: Path | None, force: bool, stri
     loaded = load_kind(task, "task/1")
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)
-    protect_output(out, [task, *loaded.files()], force)
+    output.protect_output(out, [task, *loaded.files()], force)
     if as_json and out is None:
-        raise CannotError("--json requires an output file; specify one with `-o FILE`")
+        raise SimfoundryError("--json requires an output file; specify one with `-o FILE`")
     export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
-        print_document(export.text)
+        output.print_document(export.text)
     else:
-        write_text(out, export.text)
+        output.write_text(out, export.text)
     if as_json:
-        print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
+        output.print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
     else:
         for note in export.notes:
             click.echo(f"differs from the task: {note}", err=True)
-    return FINDINGS if strict and export.notes else DONE
+    return output.FINDINGS if strict and export.notes else output.DONE

@@ -9,18 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, WorldName, resumable, scene_argument
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    choose_camera,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-)
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.document import Recipe
@@ -29,7 +21,7 @@ if TYPE_CHECKING:
     from simfoundry.cousins.tasks.enumeration import Proposal
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("recipe", type=FILE)
 @click.option(
     "-n", "--count", type=click.IntRange(1, 1_000_000),
@@ -71,10 +63,10 @@ def cousins_command(
     from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
-    protect_output(stage, [recipe], force)
+    output.protect_output(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)
     setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
-    with progress_bar(as_json) as progress, resumable(folder):
+    with output.progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
             plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
@@ -83,10 +75,10 @@ def cousins_command(
             sampler.require_possible()
         except ImpossibleError as error:
             if as_json:
-                print_json({"end": "impossible", "accepted": 0, "reasons": [r.to_json() for r in error.reasons]})
+                output.print_json({"end": "impossible", "accepted": 0, "reasons": [r.to_json() for r in error.reasons]})
             for reason in error.reasons if not as_json else ():
                 click.echo(f"impossible: {reason.text}", err=True)
-            return FINDINGS
+            return output.FINDINGS
         made = counts(read.spec.object, folder / ASSETS / "objects")
         plan = replace(plan, most=sampler.pool.most, variants=made)
 
@@ -135,9 +127,9 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
 
     facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
-    end = FINDINGS if short or any(count.is_short for count in plan.variants) else DONE
+    end = output.FINDINGS if short or any(count.is_short for count in plan.variants) else output.DONE
     if as_json:
-        print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
+        output.print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
         return end
     share = "" if plan.shard is None else f" of shard {plan.shard[0]}/{plan.shard[1]}"
     click.echo(
@@ -165,7 +157,7 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
     return end
 
 
-@subcommand()
+@output.subcommand()
 @scene_argument
 @click.option(
     "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Number of tasks to propose."
@@ -213,7 +205,7 @@ def propose_command(
     names = [o.name for o in setting.twin.scene.objects]
     for name in about:
         if name not in names:
-            raise CannotError(f"no object is called `{name}`; {nearest(name, names)}")
+            raise SimfoundryError(f"no object is called `{name}`; {nearest(name, names)}")
     reference = scene_reference(scene, folder)
     if vlm is not None:
         from simfoundry.cousins.tasks.proposals import propose_tasks
@@ -222,7 +214,7 @@ def propose_command(
         model: Any = Vlm(vlm, base_url)
         found = propose_tasks(model, setting, _picture(setting, scene, camera), count, form, reference, about)
     else:
-        with progress_bar(as_json) as bar:
+        with output.progress_bar(as_json) as bar:
             found = enumerate_tasks(
                 setting, count, seed, reference, about, progress=lambda n, seen: bar(f"{seen} tried", n / count)
             )
@@ -230,13 +222,13 @@ def propose_command(
     accepted = [proposal for proposal in found if proposal.accepted]
     files = write(found, out) if out is not None else []
     if as_json:
-        print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
+        output.print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
     else:
         _print_proposals(found, accepted, rejected)
         click.echo(f"{len(accepted)} tasks, {len(found) - len(accepted)} not accepted")
         if files:
             click.echo(f"wrote {len(files)} documents to {out}")
-    return DONE if len(accepted) >= min(count, len(found)) and accepted else FINDINGS
+    return output.DONE if len(accepted) >= min(count, len(found)) and accepted else output.FINDINGS
 
 
 def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
@@ -248,7 +240,7 @@ def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
 
     spec = load_scene(scene).spec
     assert isinstance(spec, SceneSpec)
-    camera = choose_camera(setting.twin.scene, spec, name)
+    camera = output.choose_camera(setting.twin.scene, spec, name)
     return png_bytes(render(setting.twin.scene, camera, engine=choose_engine("auto")))
 
 

@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, resumable
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,7 +27,7 @@ if TYPE_CHECKING:
 SENTENCES = 10
 
 
-@subcommand("eval")
+@output.subcommand("eval")
 @click.argument("tasks", nargs=-1, required=True, type=ANY)
 @click.option(
     "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
@@ -101,7 +93,7 @@ def eval_command(
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
-        raise CannotError("--from, --step and --subtasks are mutually exclusive")
+        raise SimfoundryError("--from, --step and --subtasks are mutually exclusive")
     plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
@@ -113,7 +105,7 @@ def eval_command(
         cameras=cameras or None,
         video=_can_film(worlds) if video is None else video,
     )
-    with progress_bar(as_json) as progress, resumable(out):
+    with output.progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
         evaluation = run_plan(plan, jobs, progress)
     return _print_report(plan, evaluation, require, as_json)
@@ -151,7 +143,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
     low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
     if as_json:
         extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
-        print_json({**evaluation.results, **extra})
+        output.print_json({**evaluation.results, **extra})
     else:
         _print_rates(evaluation.records)
         for trouble in troubles[:SENTENCES]:
@@ -166,7 +158,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
             where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
             click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
         click.echo(f"{evaluation.report}")
-    return FINDINGS if missing or low else DONE
+    return output.FINDINGS if missing or low else output.DONE
 
 
 def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
@@ -219,7 +211,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
             console.print(other.sentence, markup=False, soft_wrap=True)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("real", type=ANY)
 @click.argument("sim", nargs=-1, required=True, type=ANY)
 @click.option(
@@ -245,10 +237,12 @@ def correlate_command(
     """
     from simfoundry.evaluate.statistics import correlation
 
-    protect_output(svg, [real, *sim], force)
+    output.protect_output(svg, [real, *sim], force)
     truth = correlation.read_scores(real)
     if len(engines := correlation.by_engine(truth)) > 1:
-        raise CannotError(f"{real} contains results from {' and '.join(engines)}; pass a single table of real results")
+        raise SimfoundryError(
+            f"{real} contains results from {' and '.join(engines)}; pass a single table of real results"
+        )
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_table_names(sim), sim, strict=True):
         each = correlation.by_engine(correlation.read_scores(path))
@@ -260,9 +254,9 @@ def correlate_command(
     if svg is not None:
         from simfoundry.reports.correlation import scatter
 
-        write_text(svg, scatter(found))
+        output.write_text(svg, scatter(found))
     if as_json:
-        print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
+        output.print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
         return
     _print_agreements(found, missing, said)
     if svg is not None:
@@ -273,7 +267,7 @@ def _table_names(sim: Sequence[Path]) -> list[str]:
     for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
         if len(set(names)) == len(names):
             return names
-    raise CannotError("the same table was passed twice")
+    raise SimfoundryError("the same table was passed twice")
 
 
 def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:

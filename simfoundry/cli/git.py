@@ -10,7 +10,8 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.cli import output
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.git.revisions import GitError, git
 from simfoundry.spec.models.kinds import KINDS, suffix
 
@@ -29,7 +30,7 @@ def git_command() -> None:
 @click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories.")
 @click.option("--local", "here", is_flag=True, help="Apply to this repository only (default).")
 @click.option("--uninstall", is_flag=True, help="Remove the settings.")
-@reporting
+@output.reporting
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     """Register simfoundry as git's diff and merge driver for documents.
 
@@ -46,7 +47,7 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
                 click.echo(f"removed {section} {words}")
         if _remove_lines(attributes):
             click.echo(f"removed the patterns from {attributes}")
-        return DONE
+        return output.DONE
     for key, value in settings().items():
         git(Path(), "config", scope, "--replace-all", key, value)
         click.echo(f"set {key}")
@@ -55,12 +56,12 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     click.echo(f"done {words}; to undo: simfoundry git install{' --global' if everywhere else ''} --uninstall")
     if not everywhere:
         click.echo("commit .gitattributes; each team member must run `simfoundry git install` once")
-    return DONE
+    return output.DONE
 
 
 @git_command.command()
-@json_option
-@reporting
+@output.json_option
+@output.reporting
 def status(as_json: bool) -> int:
     """Show the git settings that apply to this repository. The exit code is 1 if a setting is missing."""
     wanted = settings()
@@ -69,7 +70,7 @@ def status(as_json: bool) -> int:
     given = _output("check-attr", "diff", "merge", "--", f"a{PATTERNS[0][1:]}") if folder is not None else ""
     attributes = [line.rpartition(": ")[2] for line in given.splitlines()] == [DRIVER, DRIVER]
     if as_json:
-        print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
+        output.print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
     else:
         for key, value in found.items():
             other = "" if value == wanted[key] else "  (from another installation; run install to update it)"
@@ -82,7 +83,7 @@ def status(as_json: bool) -> int:
             )
         if not (all(found.values()) and attributes):
             click.echo("to add the missing settings: simfoundry git install")
-    return DONE if all(found.values()) and attributes else FINDINGS
+    return output.DONE if all(found.values()) and attributes else output.FINDINGS
 
 
 def settings() -> dict[str, str]:
@@ -107,14 +108,14 @@ def settings() -> dict[str, str]:
 def _attributes_file(everywhere: bool, here: bool) -> Path:
     """Return the attributes file of the current repository, or of all repositories of the user."""
     if everywhere and here:
-        raise CannotError("--global and --local are mutually exclusive")
+        raise SimfoundryError("--global and --local are mutually exclusive")
     if everywhere:
         named = _output("config", "--global", "--type=path", "--get", "core.attributesFile")
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
         return Path(named) if named else config / "git" / "attributes"
     top = _top()
     if top is None:
-        raise CannotError("this is not a git repository; create one with `git init`, or pass --global")
+        raise SimfoundryError("this is not a git repository; create one with `git init`, or pass --global")
     return top / ".gitattributes"
 
 

@@ -8,17 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER
-from simfoundry.cli.output import (
-    DONE,
-    CannotError,
-    in_color,
-    print_document,
-    print_json,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.kinds import KINDS
 
 if TYPE_CHECKING:
@@ -35,7 +27,7 @@ NEXT = {
 }
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
 @click.option("--name", help="Name of the document. Default: the file name without its suffix.")
 @click.option("--from", "source", type=FILE, metavar="SCENE",
@@ -60,17 +52,17 @@ def new_command(
     try:
         kind, path = kind_and_path(words)
         if path.exists() and not force:
-            raise CannotError(f"{path} already exists; use --force to replace it")
+            raise SimfoundryError(f"{path} already exists; use --force to replace it")
         new = make(kind, path, name, source, extends)
     except NewError as error:
-        raise CannotError(str(error)) from None
+        raise SimfoundryError(str(error)) from None
     for file, text in {**new.marker, **new.schemas, new.path: new.text}.items():
-        write_text(file, text)
+        output.write_text(file, text)
     written = sorted({str(file.parent) for file in new.schemas})
     steps = [step.format(path=path, folder=path.parent) for step in NEXT[kind]]
     if as_json:
         marker = next((str(file) for file in new.marker), None)
-        print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
+        output.print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
         return
     click.echo(f"wrote {path}")
     for file in new.marker:
@@ -91,7 +83,7 @@ def _shown(folder: str) -> str:
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
 
-@subcommand(as_json=False, force=True)
+@output.subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas to this folder.")
 @click.option(
@@ -109,17 +101,17 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
     if out is not None:
         for name, text in texts.items():
             if not (out / name).is_file() or (out / name).read_bytes() != text.encode():
-                protect_output(out / name, force=force)
+                output.protect_output(out / name, force=force)
         for name, text in texts.items():
-            write_text(out / name, text)
+            output.write_text(out / name, text)
             click.echo(str(out / name))
         return
     if kind is None:
         raise click.UsageError(f"specify a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
-    print_document(texts[f"{kind}.schema.json"])
+    output.print_document(texts[f"{kind}.schema.json"])
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("file", type=FILE)
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
@@ -134,24 +126,24 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
     from simfoundry.spec.load import load
 
     loaded = load(file)
-    protect_output(out, [file, *loaded.files()], force)
+    output.protect_output(out, [file, *loaded.files()], force)
     if loaded.spec is None or loaded.errors:
         raise SpecError(loaded.errors)
     text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
     if out is not None:
-        write_text(out, text)
+        output.write_text(out, text)
     if as_json:
-        print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
+        output.print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
     elif only_hash:
         click.echo(digest(text))
     elif out is None:
-        print_document(text)
+        output.print_document(text)
     else:
         click.echo(f"wrote {out}")
-    return DONE
+    return output.DONE
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("code", required=False)
 def explain_command(code: str | None, as_json: bool) -> None:
     """Explain a diagnostic code: its meaning, how to fix it, and examples of incorrect and correct input.
@@ -163,7 +155,7 @@ def explain_command(code: str | None, as_json: bool) -> None:
 
     if code is None:
         if as_json:
-            print_json({"groups": grouped()})
+            output.print_json({"groups": grouped()})
         else:
             click.echo(_code_list(grouped()))
         return
@@ -171,11 +163,11 @@ def explain_command(code: str | None, as_json: bool) -> None:
     if known is None:
         similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", titles())
         hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
-        raise CannotError(f"there is no code `{code}`; {hint}")
+        raise SimfoundryError(f"there is no code `{code}`; {hint}")
     found = page(known)
     if as_json:
-        print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
-    elif in_color(sys.stdout):
+        output.print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
+    elif output.in_color(sys.stdout):
         _show_page(found)
     else:
         click.echo(found.markdown, nl=False)

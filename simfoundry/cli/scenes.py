@@ -7,37 +7,26 @@ from typing import Any
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, scene_argument
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    choose_camera,
-    lower_scene,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
 from simfoundry.errors import SimfoundryError
 
 
-@subcommand()
+@output.subcommand()
 @scene_argument
 def show_command(scene: Path, as_json: bool) -> None:
     """Show a scene as a tree of support relations, with sizes, masses and joints."""
     from simfoundry.scene.summary import summary, tree
 
-    _, spec, lowered = lower_scene(scene, as_json, fetch=False)
+    _, spec, lowered = output.lower_scene(scene, as_json, fetch=False)
     facts: dict[str, Any] = summary(lowered, spec)
     if as_json:
-        print_json(facts)
+        output.print_json(facts)
     else:
         click.echo(tree(facts))
 
 
-@subcommand()
+@output.subcommand()
 @scene_argument
 @click.argument("conditions", nargs=-1)
 def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
@@ -50,7 +39,7 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
     from simfoundry.scene.state import SceneState
     from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
-    lowered = lower_scene(scene, as_json)[2]
+    lowered = output.lower_scene(scene, as_json)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)
     rows: list[dict[str, Any]] = []
     for text in conditions or tuple(str(relation) for relation in lowered.relations):
@@ -60,13 +49,13 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
             raise SimfoundryError(f"{text}: {error}") from None
         rows.append({"condition": name, "value": verdict.value, "margin": verdict.margin, "why": verdict.why})
     if as_json:
-        print_json({"verdicts": rows})
+        output.print_json({"verdicts": rows})
     for row in () if as_json else rows:
         click.echo(f"{'true ' if row['value'] else 'false'}  {row['margin']:+.4f}  {row['condition']}: {row['why']}")
     return int(not all(row["value"] for row in rows))
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @camera_option
 @click.option("-o", "--out", type=NEW_FILE, help="Output file. Default: SCENE-CAMERA.png.")
@@ -79,19 +68,19 @@ def render_command(scene: Path, camera: str | None, out: Path | None, engine: st
     from simfoundry.render.montage import save_png
     from simfoundry.worlds.render import choose_engine, render
 
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    view = choose_camera(lowered, spec, camera)
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    view = output.choose_camera(lowered, spec, camera)
     chosen = choose_engine(engine)
     target = out or Path(f"{lowered.name}-{view.name}.png")
-    protect_output(target, [scene, *loaded.files()], force)
+    output.protect_output(target, [scene, *loaded.files()], force)
     save_png(target, render(lowered, view, engine=chosen))
     if as_json:
-        print_json({"out": str(target), "camera": view.name, "engine": chosen.value})
+        output.print_json({"out": str(target), "camera": view.name, "engine": chosen.value})
     else:
         click.echo(f"{target}  ({view.name}, {view.width} x {view.height}, {chosen})")
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @click.option("-o", "--out", type=NEW_FILE, help="Write the settled scene to this file.")
 @click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
@@ -108,24 +97,24 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
     from simfoundry.worlds.settle import settle
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
-        raise CannotError(
+        raise SimfoundryError(
             "write the settled scene to the folder of the original, because mesh paths are relative to that folder"
         )
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    protect_output(out, [scene, *loaded.files()], force)
-    with progress_bar(as_json) as progress, open_world(lowered, engine) as world:
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    output.protect_output(out, [scene, *loaded.files()], force)
+    with output.progress_bar(as_json) as progress, open_world(lowered, engine) as world:
         settled = settle(world, progress=progress)
     if out is not None:
-        write_text(out, to_yaml(with_state(spec, lowered, settled.state)))
+        output.write_text(out, to_yaml(with_state(spec, lowered, settled.state)))
     if as_json:
-        print_json({**settled.to_json(), "out": None if out is None else str(out)})
+        output.print_json({**settled.to_json(), "out": None if out is None else str(out)})
     else:
         click.echo(settle_table(settled.to_json()["objects"]))
         if not settled.at_rest:
             click.echo("the scene did not come to rest in time")
         elif out is None and not settled.passed:
             click.echo(f"to keep the settled poses: simfoundry settle {scene} -o {_beside(scene)}")
-    return DONE if settled.passed else FINDINGS
+    return output.DONE if settled.passed else output.FINDINGS
 
 
 def _beside(scene: Path) -> Path:
@@ -156,7 +145,7 @@ def _float(value: object) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @camera_option
 @click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture to this folder.")
@@ -168,12 +157,12 @@ def synthesize_command(
     """Render a scene as a synthetic capture: color and depth images with the noise and holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
 
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    view = choose_camera(lowered, spec, camera)
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    view = output.choose_camera(lowered, spec, camera)
     for name in CAPTURE_FILES:
-        protect_output(out / name, [scene, *loaded.files()], force)
+        output.protect_output(out / name, [scene, *loaded.files()], force)
     path = synthesize(lowered, view, out, seed, masks, truth=scene)
     if as_json:
-        print_json({"capture": str(path), "camera": view.name, "seed": seed})
+        output.print_json({"capture": str(path), "camera": view.name, "seed": seed})
     else:
         click.echo(str(path))

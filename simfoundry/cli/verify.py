@@ -11,17 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, NEW_FILE, files_below
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
@@ -46,7 +38,7 @@ class VerifyResults(NamedTuple):
         return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("specs", nargs=-1, type=ANY)
 @click.option(
     "--engine", "engines", multiple=True, metavar="NAME",
@@ -100,16 +92,16 @@ def verify_command(
 
     paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
-        raise CannotError("--build requires exactly one scene: the scene from which the build was compiled")
+        raise SimfoundryError("--build requires exactly one scene: the scene from which the build was compiled")
     if not paths and not behaviors:
-        raise CannotError("there is nothing to verify: specify a scene, or omit --no-behaviors")
-    protect_output(html, paths, force)
+        raise SimfoundryError("there is nothing to verify: specify a scene, or omit --no-behaviors")
+    output.protect_output(html, paths, force)
     required = [find_engine(name) for name in require]
     chosen = [find_engine(name) for name in engines] or all_engines()
     wanted = {engine.name: engine for engine in (*chosen, *required)}
     found = find_installed(wanted, interpreters(pythons, wanted.values()))
     with ExitStack() as stack:
-        progress = stack.enter_context(progress_bar(as_json))
+        progress = stack.enter_context(output.progress_bar(as_json))
         subjects = _subjects(stack, paths, build, found, progress)
         if build is not None:
             found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
@@ -118,12 +110,12 @@ def verify_command(
             _write_page(html, verified, found, subjects)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
-        print_json(_finite(_json(verified, found, wanted)))
+        output.print_json(_finite(_json(verified, found, wanted)))
     else:
         _print(verified, found, wanted)
     for name in missing:
         click.echo(f"{name} is required, but it was not found or there is no build for it", err=True)
-    return DONE if verified.ok and not missing else FINDINGS
+    return output.DONE if verified.ok and not missing else output.FINDINGS
 
 
 def _subjects(
@@ -149,7 +141,9 @@ def _subjects(
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
-                raise CannotError(f"{build} does not contain any of {targets}; pass the folder written by `compile -o`")
+                raise SimfoundryError(
+                    f"{build} does not contain any of {targets}; pass the folder written by `compile -o`"
+                )
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
@@ -187,7 +181,7 @@ def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Seq
 
     pictures = {s.name: picture(s.scene) for s in subjects}
     text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
-    write_text(path, text)
+    output.write_text(path, text)
 
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
@@ -239,7 +233,7 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
     click.echo(summary(readings, results, rested))
 
 
-@subcommand()
+@output.subcommand()
 def doctor_command(as_json: bool) -> int:
     """Show installed and missing components, and how to install them.
 
@@ -250,7 +244,7 @@ def doctor_command(as_json: bool) -> int:
 
     parts = examine()
     if as_json:
-        print_json({"parts": [part.to_json() for part in parts]})
+        output.print_json({"parts": [part.to_json() for part in parts]})
     else:
         for section, group in groupby(parts, lambda part: part.section):
             click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")
@@ -259,4 +253,4 @@ def doctor_command(as_json: bool) -> int:
                 click.echo(f"  {mark} {part.name:<22} {part.version:<20} {part.purpose}")
                 if not part.version:
                     click.echo(f"          {'':<22} -> {part.remedy}")
-    return FINDINGS if any(part.required and not part.version for part in parts) else DONE
+    return output.FINDINGS if any(part.required and not part.version for part in parts) else output.DONE
