@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import NEW_FILE
+from simfoundry.cli.options import NEW_FILE, option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @output.subcommand(as_json=False, force=True)
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
-@click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
+@option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text")
 @click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
 @click.option("--exit-code", is_flag=True, help="Exit with code 1 if there are differences.")
 @click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
@@ -135,10 +135,8 @@ def _plain_commit(step: HistoryEntry) -> dict[str, Any]:
 @output.subcommand(force=True)
 @click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
-@click.option(
-    "--resolve", "side", type=click.Choice(["ours", "theirs"]),
-    help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...",
-)  # fmt: skip
+@click.option("--resolve", "side", type=click.Choice(["ours", "theirs"]),
+              help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...")  # fmt: skip
 @click.option("--git", "driver", is_flag=True, help="Act as git's merge driver: --git %O %A %B %L %P.")
 def merge_command(
     args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, force: bool,

@@ -31,27 +31,15 @@ HEADINGS = {
     "-o", "--out", type=click.Path(path_type=Path),
     help="Output document (NAME.scene.yaml or NAME.asset.yaml) or folder. Default: named after the input file.",
 )  # fmt: skip
-@click.option(
-    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="Folder in which to resolve `package://NAME/…`; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--scene", type=FILE,
-    help="Scene for the imported task.",
-)  # fmt: skip
-@click.option(
-    "--onto", type=FILE,
-    help="Apply the edits made to a compiled stage to this document, keeping its comments.",
-)  # fmt: skip
-@click.option(
-    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
-    help="Bind a name in a BDDL task to an object in --scene; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-    help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
-    "Default: 1000, as in simulators.",
-)  # fmt: skip
+@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
+              help="Folder in which to resolve `package://NAME/…`; may be repeated.")  # fmt: skip
+@click.option("--scene", type=FILE, help="Scene for the imported task.")
+@click.option("--onto", type=FILE, help="Apply the edits to a compiled stage to this document, keeping its comments.")
+@click.option("--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
+              help="Bind a name in a BDDL task to an object in --scene; may be repeated.")  # fmt: skip
+@click.option("--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
+              help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
+                   "Default: 1000, as in simulators.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
 def import_command(
@@ -82,10 +70,7 @@ def import_command(
         with output.progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
             report = import_file(files[0], out or Path(_default_name(files[0])), options)
-        if as_json:
-            output.print_json(report.to_json())
-        else:
-            click.echo(_described(report))
+        output.print_result(as_json, report.to_json(), _described(report))
         return output.FINDINGS if strict and report.notes else output.DONE
     if out is None or out.name.endswith(".yaml"):
         raise SimfoundryError("importing several files requires an output folder; pass `-o FOLDER`")
@@ -98,16 +83,18 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     before = out.read_bytes() if out.is_file() else None
     imported = import_stage(path, out, onto, force)
     changed = before != out.read_bytes()
-    notes = [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes]
-    if as_json:
-        report = {"source": str(path), "out": str(out), "changed": changed}
-        output.print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
-    else:
-        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "no changes"))
-        for note in imported.notes:
-            click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
-        for disputed in imported.disputed:
-            click.echo(f"  edited in both the stage and the document: {disputed}; the values in the stage were kept")
+    report = {
+        "source": str(path),
+        "out": str(out),
+        "changed": changed,
+        "notes": [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes],
+        "disputed": list(imported.disputed),
+    }
+    lines = [f"{out}  from the stage {path}: " + ("written" if changed else "no changes")]
+    lines += [f"  not applied: {n.prim}: {n.message}" + (f"; {n.hint}" if n.hint else "") for n in imported.notes]
+    edited = "edited in both the stage and the document"
+    lines += [f"  {edited}: {disputed}; the values in the stage were kept" for disputed in imported.disputed]
+    output.print_result(as_json, report, "\n".join(lines))
     return output.FINDINGS if strict and (imported.notes or imported.disputed) else output.DONE
 
 
@@ -125,12 +112,8 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
         for done, (source, target) in enumerate(jobs):
             progress(source.name, done / len(jobs))
             reports.append(_import_one(source, target, options))
-    refused = [report for report in reports if report.error]
-    if as_json:
-        output.print_json({"files": [report.to_json() for report in reports]})
-    else:
-        click.echo(_table(reports))
-    if refused:
+    output.print_result(as_json, {"files": [report.to_json() for report in reports]}, _table(reports))
+    if any(report.error for report in reports):
         return output.CANNOT
     return output.FINDINGS if strict and any(report.notes for report in reports) else output.DONE
 
@@ -180,16 +163,13 @@ def _default_name(path: Path) -> str:
     from simfoundry.frontends.importer import ASSET, SCENE, TASK
     from simfoundry.frontends.registry import task_readers
 
-    if path.suffix.lower() in task_readers():
-        return f"{path.stem}{TASK}"
-    return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
+    kind = path.suffix.lower()
+    return path.stem + (TASK if kind in task_readers() else ASSET if kind == ".urdf" else SCENE)
 
 
 def _described(report: ImportReport) -> str:
     """Return a description of the imported document and of each difference from the file."""
-    lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
-    lines += [f"{document}" for document in report.more]
-    lines += _warned_of_masses(report)
+    lines = [f"{report.out}  from {report.format}: {_counts(report)}", *report.more, *_warned_of_masses(report)]
     for kind, heading in HEADINGS.items():
         notes = [note for note in report.notes if note.kind == kind]
         if not notes:
@@ -198,7 +178,7 @@ def _described(report: ImportReport) -> str:
         reasons: dict[str, list[str]] = {}
         for note in notes:
             reasons.setdefault(note.why, []).append(f"{note.what} ({note.detail})" if note.detail else note.what)
-        lines += [f"  {_listed(things)}: {why}" for why, things in reasons.items()]
+        lines += [f"  {_listed(elements)}: {why}" for why, elements in reasons.items()]
     if report.names:
         shown = [f"{old} -> {new}" for old, new in report.names]
         lines.append(f"{len(shown)} name{'s' if len(shown) > 1 else ''} changed: {_listed(shown)}")
@@ -219,15 +199,17 @@ def _warned_of_masses(report: ImportReport) -> list[str]:
     ]
 
 
-def _listed(things: list[str], most: int = 4) -> str:
-    more = f" and {len(things) - most} more" if len(things) > most else ""
-    return ", ".join(things[:most]) + more
+def _listed(names: list[str], most: int = 4) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _counts(report: ImportReport) -> str:
-    words = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
-    found = [(getattr(report, several), several, single) for several, single in (words | {"meshes": "mesh"}).items()]
-    return ", ".join(f"{n} {single if n == 1 else several}" for n, several, single in found if n)
+    singulars = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
+    counts = {
+        (singular, plural): getattr(report, plural) for plural, singular in (singulars | {"meshes": "mesh"}).items()
+    }
+    return ", ".join(f"{count} {names[count > 1]}" for names, count in counts.items() if count)
 
 
 def _table(reports: list[ImportReport]) -> str:
@@ -248,10 +230,9 @@ def _table(reports: list[ImportReport]) -> str:
 
 @output.subcommand(force=True)
 @click.argument("task", type=FILE)
-@click.option(
-    "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
-    help="Output format: BDDL for LIBERO or BEHAVIOR, or the task YAML used in the paper's release.",
-)  # fmt: skip
+@click.option("-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
+              help="Output format: BDDL for LIBERO or BEHAVIOR, or the task YAML used in the paper's "
+                   "release.")  # fmt: skip
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
 def export_command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
@@ -279,7 +260,6 @@ def export_command(task: Path, format_: str, out: Path | None, force: bool, stri
         output.write_text(out, export.text)
     if as_json:
         output.print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
-    else:
-        for note in export.notes:
-            click.echo(f"differs from the task: {note}", err=True)
+    for note in export.notes if not as_json else ():
+        click.echo(f"differs from the task: {note}", err=True)
     return output.FINDINGS if strict and export.notes else output.DONE

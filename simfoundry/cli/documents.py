@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from simfoundry.cli import output
+from simfoundry.cli.options import option
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.report import FORMATS
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
@@ -65,10 +66,8 @@ MANY = 100
 
 @output.subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option(
-    "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
-    help="Output format: text, or a format for scripts, code scanning or GitHub.",
-)  # fmt: skip
+@option("--format", "form", type=click.Choice(FORMATS), default="text",
+        help="Output format: text, or a format for scripts, code scanning or GitHub.")  # fmt: skip
 @click.option("--lints/--no-lints", default=True, help="Also check the geometry, or only the structure.")
 def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
     """Check the given documents, and all documents below the given folders (default: the working folder).

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, resumable
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, option, resumable
 from simfoundry.cli.options import shard as shard_of
 from simfoundry.errors import SimfoundryError
 
@@ -29,43 +29,24 @@ SENTENCES = 10
 
 @output.subcommand("eval")
 @click.argument("tasks", nargs=-1, required=True, type=ANY)
-@click.option(
-    "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
-    help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a server such "
-    "as openpi:localhost:8000?action_space=joint_position. May be repeated.",
-)  # fmt: skip
-@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
-@click.option(
-    "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
-    help="Number of rollouts for each task.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed for the initial states."
-)
-@click.option(
-    "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="Run in this engine; repeat the option to compare two engines.",
-)  # fmt: skip
+@click.option("-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
+              help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a "
+                   "server such as openpi:localhost:8000?action_space=joint_position. May be repeated.")  # fmt: skip
+@option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"))
+@option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, help="Number of rollouts for each task.")
+@option("--seed", type=click.IntRange(0, 2**31), default=0, help="Seed for the initial states.")
+@option("--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
+        help="Run in this engine; repeat the option to compare two engines.")  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step and require the goal of the task.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step and require only the goal of this step.")
 @click.option("--subtasks", is_flag=True, help="Also run each step that defines its own initial state.")
-@click.option(
-    "--video/--no-video",
-    default=None,
-    help="Record a video of each rollout. Default: if rendering is possible.",
-)
-@click.option(
-    "--camera",
-    "cameras",
-    multiple=True,
-    help="Record videos from this camera; may be repeated. Default: the scene's first.",
-)
-@click.option(
-    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of parallel processes."
-)
-@click.option(
-    "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
-)
+@click.option("--video/--no-video", default=None,
+              help="Record a video of each rollout. Default: if rendering is possible.")  # fmt: skip
+@click.option("--camera", "cameras", multiple=True,
+              help="Record videos from this camera; may be repeated. Default: the scene's first.")  # fmt: skip
+@option("-j", "--jobs", type=click.IntRange(1, 256), default=1, help="Number of parallel processes.")
+@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N",
+              help="Run every N-th rollout, starting with the I-th.")  # fmt: skip
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
 def eval_command(
     tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
@@ -214,15 +195,11 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
 @output.subcommand(force=True)
 @click.argument("real", type=ANY)
 @click.argument("sim", nargs=-1, required=True, type=ANY)
-@click.option(
-    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
-    help="Number of rollouts to assume for a rate without a count.",
-)  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
-    help="Number of samples used to compute the intervals.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed for sampling.")
+@option("--rollouts", type=click.IntRange(min=1), default=25,
+        help="Number of rollouts to assume for a rate without a count.")  # fmt: skip
+@option("--draws", type=click.IntRange(1, 100_000), default=2000,
+        help="Number of samples used to compute the intervals.")  # fmt: skip
+@option("--seed", type=click.IntRange(min=0), default=0, help="Seed for sampling.")
 @click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def correlate_command(
     real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,

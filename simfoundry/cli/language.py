@@ -86,9 +86,8 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 @output.subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas to this folder.")
-@click.option(
-    "--standard", is_flag=True, help="Use only standard JSON Schema keywords, for strict validators such as ajv."
-)
+@click.option("--standard", is_flag=True,
+              help="Use only standard JSON Schema keywords, for strict validators such as ajv.")  # fmt: skip
 def schema_command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
     """Print the JSON Schema for one kind of document, or write all schemas to a folder with -o.
 

@@ -6,11 +6,15 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
 
 from simfoundry.errors import SimfoundryError
+
+# An option whose help shows its default.
+option = partial(click.option, show_default=True)
 
 ANY = click.Path(path_type=Path, exists=True)
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from simfoundry.cli import output
-from simfoundry.cli.options import ANY, NEW_FILE, files_below
+from simfoundry.cli.options import ANY, NEW_FILE, files_below, option
 from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
@@ -40,36 +40,17 @@ class VerifyResults(NamedTuple):
 
 @output.subcommand(force=True)
 @click.argument("specs", nargs=-1, type=ANY)
-@click.option(
-    "--engine", "engines", multiple=True, metavar="NAME",
-    help="Engine in which to verify; may be repeated. Default: all engines that are found.",
-)  # fmt: skip
-@click.option("--behaviors/--no-behaviors", default=True, show_default=True, help="Also measure behaviors.")
-@click.option(
-    "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Verify this existing build instead of compiling the scene.",
-)  # fmt: skip
-@click.option(
-    "--python",
-    "pythons",
-    multiple=True,
-    metavar="[ENGINE=]PATH",
-    help="Also look for engines in this Python interpreter.",
-)
+@click.option("--engine", "engines", multiple=True, metavar="NAME",
+              help="Engine in which to verify; may be repeated. Default: all engines that are found.")  # fmt: skip
+@option("--behaviors/--no-behaviors", default=True, help="Also measure behaviors.")
+@click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
+              help="Verify this existing build instead of compiling the scene.")  # fmt: skip
+@click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH",
+              help="Also look for engines in this Python interpreter.")  # fmt: skip
 @click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
-@click.option(
-    "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
-    help="Time limit for each engine and build [s].",
-)  # fmt: skip
+@option("--timeout", type=click.FloatRange(min=1), default=180.0, help="Time limit for each engine and build [s].")
 @click.option("--html", type=NEW_FILE, help="Write an HTML report with tables and images to this file.")
-@click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Number of engines to run in parallel.",
-)
+@option("-j", "--jobs", type=click.IntRange(min=1), default=1, help="Number of engines to run in parallel.")
 def verify_command(
     specs: tuple[Path, ...], engines: tuple[str, ...], behaviors: bool, build: Path | None, pythons: tuple[str, ...],
     require: tuple[str, ...], timeout: float, html: Path | None, force: bool, jobs: int, as_json: bool,
