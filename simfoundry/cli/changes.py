@@ -17,7 +17,6 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.compare import DocumentComparison
-    from simfoundry.spec.change.git.arguments import HistoryEntry
     from simfoundry.spec.change.merge.texts import MergedText
 
 
@@ -57,11 +56,11 @@ def diff_command(
 
             output.write_text(out, page(found))
     if form == "json":
-        output.print_json({"documents": [plain(c) for c in found]})
+        output.print_json({"documents": [_plain(c) for c in found]})
     elif form == "text":
         _print_comparisons(found)
     else:
-        click.echo(f"{out}  ({len(found)} document{'s' if len(found) != 1 else ''})")
+        click.echo(f"{out}  ({output.plural(len(found), 'document')})")
     findings = [d for c in found for d in c.findings]
     if findings and form != "json":
         texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
@@ -81,7 +80,7 @@ def _print_comparisons(found: list[DocumentComparison]) -> None:
         click.echo("no document differs")
 
 
-def plain(comparison: DocumentComparison) -> dict[str, Any]:
+def _plain(comparison: DocumentComparison) -> dict[str, Any]:
     """Return the changes as plain data."""
     from dataclasses import asdict
 
@@ -113,23 +112,19 @@ def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_
     from simfoundry.spec.change.git.arguments import document_history
 
     steps = islice(document_history(what, verbose), max_count)
-    if as_json:
-        output.print_json({"commits": [_plain_commit(step) for step in steps]})
-        return
-    about = None
+    commits = []
     for step in steps:
-        about = step.commit
-        click.echo(printable(f"{about.id[:10]} {about.date[:10]} {about.author}: {about.subject}"))
-        for line in step.comparison.lines():
-            click.echo(f"  {printable(line)}")
-    if about is None:
+        commit = step.commit
+        head = {"commit": commit.id, "date": commit.date, "author": commit.author, "subject": commit.subject}
+        commits.append(head | _plain(step.comparison) if as_json else head)
+        if not as_json:
+            click.echo(printable(f"{commit.id[:10]} {commit.date[:10]} {commit.author}: {commit.subject}"))
+            for line in step.comparison.lines():
+                click.echo(f"  {printable(line)}")
+    if as_json:
+        output.print_json({"commits": commits})
+    elif not commits:
         raise SimfoundryError(f"no commit in this history changes {what[-1]}")
-
-
-def _plain_commit(step: HistoryEntry) -> dict[str, Any]:
-    about = step.commit
-    head = {"commit": about.id, "date": about.date, "author": about.author, "subject": about.subject}
-    return {**head, **plain(step.comparison)}
 
 
 @output.subcommand(force=True)
@@ -171,13 +166,11 @@ def merge_command(
         conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
         findings = [d.to_json() for d in errors]
         output.print_json({"out": out and str(out), "conflicts": conflicts, "findings": findings, "text": merged.text})
+    elif out is None:
+        output.print_document(merged.text)
     else:
-        if out is None:
-            output.print_document(merged.text)
-        else:
-            click.echo(f"wrote {out}: {output.plural(len(merged.conflicts), 'conflict')}")
-        _print_merge(merged, errors, changed)
-    return output.FINDINGS if merged.conflicts or errors else output.DONE
+        click.echo(f"wrote {out}: {output.plural(len(merged.conflicts), 'conflict')}")
+    return _report_merge(merged, errors, changed, as_json)
 
 
 def _drive_merge(args: Sequence[str]) -> int:
@@ -201,8 +194,7 @@ def _drive_merge(args: Sequence[str]) -> int:
         return _by_lines(args)
     if merged.conflicts or errors:
         click.echo(printable(f"{name}: {output.plural(len(merged.conflicts), 'conflict')}"), err=True)
-        _print_merge(merged, errors, Path(name))
-    return output.FINDINGS if merged.conflicts or errors else output.DONE
+    return _report_merge(merged, errors, Path(name))
 
 
 def _by_lines(args: Sequence[str]) -> int:
@@ -239,9 +231,8 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     output.write_in_place(out or file, text)
     findings = load(out or file).all_findings()
     if as_json:
-        left = tree.data.get("conflicts", {})
-        findings_ = [d.to_json() for d in findings]
-        output.print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
+        facts = {"out": str(out or file), "decided": decided, "left": list(tree.data.get("conflicts", {}))}
+        output.print_json(facts | {"findings": [d.to_json() for d in findings]})
     else:
         for key in decided:
             click.echo(printable(f"{key}: took {side}"))
@@ -253,15 +244,17 @@ def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
-        raise SimfoundryError(f"{path} is not UTF-8 text") from None
+        raise SimfoundryError(f"{path} could not be decoded as UTF-8") from None
 
 
-def _print_merge(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
-    """Print each conflict on a separate line, followed by the errors and the next step."""
-    for conflict in merged.conflicts:
-        click.echo(printable(str(conflict)), err=True)
-    if errors:
-        click.echo(render(errors, texts={str(name): merged.text}), err=True)
-    if merged.conflicts:
-        choose = f"or choose a side: simfoundry merge --resolve ours {name}"
-        click.echo(printable(f"edit {name} and remove its `conflicts`, {choose}"), err=True)
+def _report_merge(merged: MergedText, errors: list[Diagnostic], name: Path, quiet: bool = False) -> int:
+    """Print the conflicts, the errors and the next step unless ``quiet`` is set, and return the exit code."""
+    if not quiet:
+        for conflict in merged.conflicts:
+            click.echo(printable(str(conflict)), err=True)
+        if errors:
+            click.echo(render(errors, texts={str(name): merged.text}), err=True)
+        if merged.conflicts:
+            choose = f"or choose a side: simfoundry merge --resolve ours {name}"
+            click.echo(printable(f"edit {name} and remove its `conflicts`, {choose}"), err=True)
+    return output.FINDINGS if merged.conflicts or errors else output.DONE

@@ -43,7 +43,7 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
         elif path.exists() or path.is_symlink():  # a broken symbolic link is reported when it is read
             files[path] = None
         else:
-            raise SimfoundryError(f"there is no file {path}")
+            raise SimfoundryError(f"{path} does not exist")
     if not files:
         but = f" except {excluded} excluded by {MARKER}" if excluded else ""
         raise SimfoundryError(f"could not find any documents below {', '.join(map(str, paths))}{but}")
@@ -53,11 +53,8 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
 def _included(found: list[Path], folder: Path) -> list[Path]:
     """Return the documents that are not excluded by the project that contains ``folder`` or by their own project."""
     projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
-
-    def is_excluded(path: Path) -> bool:
-        return any(p is not None and p.excludes(path, folder) for p in (projects[folder], projects[path.parent]))
-
-    return [path for path in found if not is_excluded(path)]
+    both = {path: (projects[folder], projects[path.parent]) for path in found}
+    return [path for path in found if not any(p is not None and p.excludes(path, folder) for p in both[path])]
 
 
 # Minimum number of documents for which a progress bar is shown on a terminal.
@@ -76,7 +73,7 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
     explain CODE`.
     """
     from simfoundry.runtime.parallel import map_parallel
-    from simfoundry.spec.check.report import gather, renderer
+    from simfoundry.spec.check.report import gather, renderer, summary
 
     form = "json" if as_json else form
     files = documents(paths or (Path(),))
@@ -92,8 +89,6 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
     elif form != "github":
         output.print_json_text(renderer(form)(report))
     if form in ("text", "github"):
-        from simfoundry.spec.check.report import summary
-
         click.echo(summary(report))
     if form == "text" and report.findings and sys.stdout.isatty():
         click.echo(f"run `simfoundry explain {report.findings[0].code}` for details")
@@ -156,8 +151,8 @@ def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool)
         output.print_json(done.to_json("changed") | ({"diffs": diffs} if diff else {}))
     else:
         for path in done.changed:
-            said = "would change" if check else "wrote"
-            click.echo(diffs[str(path)] if diff else f"{said} {path}", nl=not diff)
+            line = f"{'would change' if check else 'wrote'} {path}"
+            click.echo(diffs.get(str(path), line), nl=not diff)
         output.print_findings(done.findings)
     if not (as_json or diff):
         changes = f"{len(done.changed) or 'none'} {'would change' if check else 'changed'}"
@@ -186,11 +181,11 @@ def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     done = _rewrite(files, update, keep=check)._replace(files=files)
     if as_json:
         output.print_json(done.to_json("older"))
-    else:
-        for path in done.changed:
-            click.echo(f"{'would update' if check else 'updated'} {path}")
-        output.print_findings(done.findings)
-        click.echo(f"{output.plural(len(done.files), 'document')}: {len(done.changed) or 'none'} out of date")
+        return done.exit_code(check)
+    for path in done.changed:
+        click.echo(f"{'would update' if check else 'updated'} {path}")
+    output.print_findings(done.findings)
+    click.echo(f"{output.plural(len(done.files), 'document')}: {len(done.changed) or 'none'} out of date")
     return done.exit_code(check)
 
 
@@ -246,7 +241,8 @@ def _format_stream(check: bool, diff: bool) -> int:
     try:
         before = sys.stdin.buffer.read().decode("utf-8")
     except UnicodeDecodeError:
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is not UTF-8 text", "<stdin>")]) from None
+        message = "the text could not be decoded as UTF-8"
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, "<stdin>")]) from None
     text = Formatted(before, format_text(before, "<stdin>"))
     if diff:
         click.echo(_difference(STDIN, text), nl=False)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,17 +13,10 @@ from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.kinds import KINDS
 
-if TYPE_CHECKING:
-    from simfoundry.spec.check.pages import Page
-
 # Next steps for a new document of each kind.
-NEXT = {
+NEXT = dict.fromkeys(("task", "asset", "cousins", "policy"), ("simfoundry check {path}",)) | {
     "scene": ("simfoundry check {path}", "simfoundry show {path}"),
-    "task": ("simfoundry check {path}",),
-    "asset": ("simfoundry check {path}",),
     "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
-    "cousins": ("simfoundry check {path}",),
-    "policy": ("simfoundry check {path}",),
 }
 
 
@@ -47,15 +40,12 @@ def new_command(
     working folder or to the closest folder that contains all specified files. If the project does not contain schemas
     for editors, they are written to .simfoundry/schemas/.
     """
-    from simfoundry.spec.editor.new import NewError, kind_and_path, make
+    from simfoundry.spec.editor.new import kind_and_path, make
 
-    try:
-        kind, path = kind_and_path(words)
-        if path.exists() and not force:
-            raise SimfoundryError(f"{path} already exists; use --force to replace it")
-        new = make(kind, path, name, source, extends)
-    except NewError as error:
-        raise SimfoundryError(str(error)) from None
+    kind, path = kind_and_path(words)
+    if path.exists() and not force:
+        raise SimfoundryError(f"{path} already exists; use --force to replace it")
+    new = make(kind, path, name, source, extends)
     for file, text in {**new.marker, **new.schemas, new.path: new.text}.items():
         output.write_text(file, text)
     written = sorted({str(file.parent) for file in new.schemas})
@@ -64,23 +54,19 @@ def new_command(
         marker = next((str(file) for file in new.marker), None)
         output.print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
         return
+    here = f"{Path.cwd()}{os.sep}"  # paths inside the working folder are shown relative to it
     click.echo(f"wrote {path}")
     for file in new.marker:
-        click.echo(f"wrote {_shown(str(file))}, which marks the root of the project")
+        click.echo(f"wrote {str(file).removeprefix(here)}, which marks the root of the project")
     for folder in written:
-        click.echo(f"wrote {_shown(folder)}/, which editors use for completion and checks")
-    click.echo("next:")
-    for step in steps:
-        click.echo(f"  {step}")
-
-
-def _shown(folder: str) -> str:
-    """Return a path relative to the working folder if it is inside that folder."""
-    path, here = Path(folder), Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else folder
+        click.echo(f"wrote {folder.removeprefix(here)}/, which editors use for completion and checks")
+    click.echo("\n  ".join(["next:", *steps]))
 
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
+
+# Maximum number of characters in a line of a page on a terminal; longer lines are hard to read.
+LINE_LENGTH = 100
 
 
 @output.subcommand(as_json=False, force=True)
@@ -98,12 +84,13 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
 
     texts = schemas(standard)
     if out is not None:
-        for name, text in texts.items():
-            if not (out / name).is_file() or (out / name).read_bytes() != text.encode():
-                output.protect_output(out / name, force=force)
-        for name, text in texts.items():
-            output.write_text(out / name, text)
-            click.echo(str(out / name))
+        files = {out / name: text for name, text in texts.items()}
+        for file, text in files.items():
+            if not file.is_file() or file.read_bytes() != text.encode():
+                output.protect_output(file, force=force)
+        for file, text in files.items():
+            output.write_text(file, text)
+            click.echo(str(file))
         return
     if kind is None:
         raise click.UsageError(f"specify a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
@@ -114,7 +101,7 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
 @click.argument("file", type=FILE)
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
-def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
+def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> None:
     """Write a complete document that includes everything it extends and all default values.
 
     Equivalent documents produce the same text and therefore the same hash. File paths are made relative to the location
@@ -139,7 +126,6 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
         output.print_document(text)
     else:
         click.echo(f"wrote {out}")
-    return output.DONE
 
 
 @output.subcommand()
@@ -153,10 +139,9 @@ def explain_command(code: str | None, as_json: bool) -> None:
     from simfoundry.spec.diagnostics import nearest
 
     if code is None:
-        if as_json:
-            output.print_json({"groups": grouped()})
-        else:
-            click.echo(_code_list(grouped()))
+        groups = grouped()
+        blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
+        output.print_result(as_json, {"groups": groups}, "\n\n".join(blocks))
         return
     known = code_of(code)
     if known is None:
@@ -167,20 +152,10 @@ def explain_command(code: str | None, as_json: bool) -> None:
     if as_json:
         output.print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
     elif output.in_color(sys.stdout):
-        _show_page(found)
+        from rich.console import Console
+        from rich.markdown import Markdown
+
+        console = Console()
+        console.print(Markdown(found.markdown, code_theme="ansi_dark"), width=min(console.width, LINE_LENGTH))
     else:
         click.echo(found.markdown, nl=False)
-
-
-def _code_list(groups: dict[str, dict[str, str]]) -> str:
-    blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
-    return "\n\n".join(blocks)
-
-
-def _show_page(page: Page) -> None:
-    """Print a page to the terminal with a readable line length."""
-    from rich.console import Console
-    from rich.markdown import Markdown
-
-    console = Console()
-    console.print(Markdown(page.markdown, code_theme="ansi_dark"), width=min(console.width, 100))

@@ -88,7 +88,13 @@ def verify_command(
             found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
         verified = _verify(subjects, found, behaviors, jobs, timeout, progress)
         if html is not None:
-            _write_page(html, verified, found, subjects)
+            from simfoundry.reports.verification import page
+            from simfoundry.verify.behaviors import BEHAVIORS
+            from simfoundry.verify.tables import picture
+
+            pictures = {s.name: picture(s.scene) for s in subjects}
+            text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
+            output.write_text(html, text)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
         output.print_json(_finite(_json(verified, found, wanted)))
@@ -153,16 +159,6 @@ def _verify(
         measure_behaviors(BEHAVIORS, here, report, jobs, timeout) if behaviors else [],
         settle_subjects(subjects, readable, report, jobs, timeout) if behaviors else [],
     )
-
-
-def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
-    from simfoundry.reports.verification import page
-    from simfoundry.verify.behaviors import BEHAVIORS
-    from simfoundry.verify.tables import picture
-
-    pictures = {s.name: picture(s.scene) for s in subjects}
-    text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
-    output.write_text(path, text)
 
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
