@@ -221,4 +221,5 @@ def _gripper(spec: ModelSpec) -> Gripper | None:
     if spec.gripper is None:
         return None
     follow = {n: Mimic(f.joint, f.multiplier, f.offset) for n, f in spec.gripper.follow.items()}
-    return Gripper(*(MappingProxyType(dict(values)) for values in (spec.gripper.command, spec.gripper.joints, follow)))
+    command, joints = (MappingProxyType(dict(values)) for values in (spec.gripper.command, spec.gripper.joints))
+    return Gripper(command, joints, MappingProxyType(follow))
