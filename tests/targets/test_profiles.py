@@ -20,6 +20,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.targets.compile import RULES, compile_target
 from simfoundry.targets.find import UnknownTargetError, find_target, read_profile, target_names
 from tests.cli.command import run
+from tests.conftest import of_the_checkout
 from tests.mechanisms import pendulum
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid
 from tests.targets.everything import write_everything
@@ -273,6 +274,7 @@ def test_no_loss_where_all_surfaces_are_equal() -> None:
     assert loss.reason == "drake uses the harmonic mean of a pair: 0.436 for 0.3 and 0.8; the scene specifies 0.49."
 
 
+@of_the_checkout
 def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
     hatchling = pytest.importorskip("hatchling.builders.wheel", reason="hatchling builds the wheel")
     builder = hatchling.WheelBuilder(str(ROOT))
