@@ -222,7 +222,7 @@ def doctor_command(as_json: bool) -> int:
 
     parts = examine()
     if as_json:
-        output.print_json({"parts": [part.to_json() for part in parts]})
+        output.print_json({"parts": [asdict(part) for part in parts]})
     else:
         for section, group in groupby(parts, lambda part: part.section):
             click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")
