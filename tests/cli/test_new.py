@@ -194,7 +194,7 @@ def test_what_cannot_be_made_is_said_in_a_sentence(args: list[str], words: str, 
 def test_a_kind_alone_asks_for_a_name() -> None:
     done = run("new", "scene")
     assert (done.code, done.out) == (2, "")
-    assert "as `new scene desk` for desk.scene.yaml" in done.err
+    assert "`new scene desk` creates desk.scene.yaml" in done.err
 
 
 def test_a_task_is_about_things_that_can_be_put_on_one_another(project: Path) -> None:
