@@ -1,9 +1,9 @@
-"""Keep track of the objects standing in a scene, and place further objects among them, individually or in batches.
+"""Keep track of the objects in a scene, and place more objects among them, individually or in batches.
 
-In a batch, each object gets the first of its candidate poses that is clear of all previous objects, just as if each
-were placed in turn by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per object
-are drawn and tested against each other together. An individual search is needed only for an object without a free
-candidate in the batch.
+In a batch, each object gets the first of its candidate poses that is clear of all previous objects, as if the objects
+were placed individually by :func:`simfoundry.cousins.layout.rejection_sampling.find`. For speed, a few candidates per
+object are drawn and tested together. Only an object without a free candidate in the batch requires an individual
+search.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ GAP = 0.002
 # Number of candidates per object in a batch.
 EACH = 4
 
-# Maximum number of objects in a batch, small enough for the pairwise tables to fit in the processor cache.
+# Maximum number of objects in a batch; the pairwise tables of a batch fit into the processor cache.
 TOGETHER = 24
 
 Spot = tuple[float, float, float]
 
 
 class _Block:
-    """A batch of candidate placements, :data:`EACH` per object.
+    """A batch of candidate placements, with :data:`EACH` candidates per object.
 
-    The block also records which candidates overlap each other or objects that are already standing.
+    The batch records which candidates overlap each other or objects that have already been placed.
     """
 
     def __init__(self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator) -> None:
@@ -58,7 +58,7 @@ class _Block:
         frame = self._center - turn * _each([o.middle for o in outlines])
         self._spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
         self._side = turn * _each([o.turn for o in outlines])
-        self._half = _each([complex(*o.half.tolist()) for o in outlines])
+        self._half = _each([o.extents for o in outlines])
         self._low = _each([r.z + o.low for o, r in things]).real
         self._high = _each([r.z + o.high for o, r in things]).real
         self._boxy = [o.boxy for o in outlines]
@@ -89,17 +89,19 @@ class _Block:
 
     def _meet_entries(self, entries: range) -> None:
         """Record which candidates overlap the given entries."""
-        for c, entry in self._there.all_met(entries, self._center, self._side, self._half, self._low, self._high, GAP):
-            self._doubt(c, entry)
+        rectangles = self._center, self._side, self._half, self._low, self._high
+        for c, met in self._there.overlaps(entries, *rectangles, GAP).items():
+            self._doubt(c, met)
 
-    def _doubt(self, c: int, entry: int) -> None:
-        if self._boxy[c // EACH] and self._there.any_boxy((entry,)):
+    def _doubt(self, c: int, met: Iterable[int]) -> None:
+        """Record that candidate ``c`` overlaps the entries ``met``."""
+        if self._boxy[c // EACH] and self._there.any_boxy(met):
             self._dead[c] = True
         else:
-            self._doubts.setdefault(c, []).append(entry)
+            self._doubts.setdefault(c, []).extend(met)
 
     def first_clear(self, t: int, clear: Clear) -> Spot | None:
-        """Return the first candidate of object ``t`` that is clear of all standing objects, or None."""
+        """Return the first candidate of object ``t`` that is clear of all placed objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
             if not self._dead[c] and (not doubts or clear(*self._spots[c], doubts)):
@@ -110,14 +112,13 @@ class _Block:
     def entered(self, t: int, entries: range, chosen: bool) -> None:
         """Record that object ``t`` has been placed and occupies the given entries.
 
-        ``chosen`` is true if it was placed at its chosen candidate, and false if it was placed elsewhere.
+        ``chosen`` is true if the object was placed at its chosen candidate.
         """
         if not chosen:
             self._meet_entries(entries)
             return
         for c in self._meets.get(self._chosen[t], ()):
-            for entry in entries:
-                self._doubt(c, entry)
+            self._doubt(c, entries)
 
 
 def _spreads(outlines: Sequence[Outline]) -> Array:
@@ -139,8 +140,11 @@ def _each(values: Sequence[complex]) -> Complex:
 class Placeable:
     """An object to be placed.
 
-    ``riders`` move along with it, ``upright`` is its orientation before the rotation about z, and ``outline`` is the
-    shadow of the object and its riders.
+    Attributes:
+        name: Name of the object.
+        riders: Names of the objects that move along with it.
+        upright: Orientation before the rotation about z.
+        outline: Shadow of the object and its riders.
     """
 
     name: str
@@ -151,10 +155,8 @@ class Placeable:
 
     @classmethod
     def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
-        """Return the object ``name`` to be placed on ``on``, with all of its riders except those in ``staying``."""
-        riders = twin.riders(name)
-        if riders:
-            riders = tuple(n for n in riders if n not in set(staying))
+        """Return the object ``name`` to be placed on ``on``, with all its riders except for those in ``staying``."""
+        riders = tuple(n for n in twin.riders(name) if n not in set(staying))
         key = (name, on, riders)
         if key not in twin.placeables:
             upright = twin.upright(name, on)
@@ -180,18 +182,18 @@ class Placeable:
 
 
 class Arrangement:
-    """All standing objects in a scene, among which further objects are placed.
+    """The objects in a scene, among which more objects are placed.
 
     An arrangement poses the twin's solids, so only one arrangement per twin can be in use at a time.
     """
 
     def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
-        """Create an arrangement without the objects that have not been placed yet.
+        """Create an arrangement of the objects that have already been placed.
 
         Args:
             twin: The twin.
-            poses: Poses X_WO of objects that differ from the twin's.
-            moving: Names of objects that have not been placed yet, and whose riders have not been placed either.
+            poses: Poses X_WO of the objects that have been moved in the twin.
+            moving: Names of objects that have not been placed yet. Their riders have not been placed either.
         """
         self.twin, self.tries = twin, 0
         self.poses = dict(twin.state.poses) | dict(poses)
@@ -216,7 +218,7 @@ class Arrangement:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
 
     def _stand_on(self, support: Support) -> None:
-        """Ignore the support in overlap tests if nothing protrudes above its level, because placed objects touch it."""
+        """Ignore the support in overlap tests if no part of it is above its level, because placed objects touch it."""
         self.there.set_aside(support.name if support.plain else None)
 
     def find(
@@ -234,7 +236,7 @@ class Arrangement:
             region: Region from which placements are drawn.
             rng: Random generator.
             allowed: Additional test of many candidates at once.
-            also: Additional test that is called after the object has been posed among the twin's solids.
+            also: Additional test that is called with the object posed among the twin's solids.
         """
         self._stand_on(region.support)
 
@@ -273,12 +275,12 @@ class Arrangement:
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
-        """Return whether an object at a candidate placement is clear of the entries ``met`` by its rectangle."""
+        """Return True if an object is clear of the entries ``met``, whose rectangles it overlaps."""
         self.pose(thing, thing.pose(x, y, region.z, yaw))
         return not self.clashes(thing, sorted({self.there.owners[k] for k in met}), region.support.name)
 
     def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
-        """Return whether an object or one of its riders violates the clearance to at least one of the ``others``.
+        """Return True if an object or one of its riders is closer to one of the ``others`` than the clearance.
 
         Contact with the object named ``on`` is allowed, but overlap is not.
         """

@@ -83,6 +83,11 @@ class Outline:
         return complex(*self.center.tolist())
 
     @cached_property
+    def extents(self) -> complex:
+        """Half extents of the rectangle as a complex number [m]."""
+        return complex(*self.half.tolist())
+
+    @cached_property
     def turn(self) -> complex:
         """Rotation of the rectangle as a unit complex number."""
         return cmath.rect(1.0, self.angle)

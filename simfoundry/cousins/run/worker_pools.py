@@ -97,8 +97,8 @@ def failed(index: int, how: str) -> Candidate:
 class RayPool:
     """A pool of actors on a Ray cluster.
 
-    The pool connects to the cluster at ``RAY_ADDRESS``, or starts a cluster on this machine. The paths of the recipe and
-    the output folder must be valid on every node, for example on a shared file system.
+    The pool connects to the cluster at ``RAY_ADDRESS``, or starts a cluster on this machine. The paths of the recipe
+    and the output folder must be valid on every node, for example on a shared file system.
     """
 
     def __init__(self, work: Work, size: int | None) -> None:
