@@ -39,6 +39,7 @@ EACH = 4
 # Maximum number of objects in a batch; the pairwise tables of a batch fit into the processor cache.
 TOGETHER = 24
 
+# Position x and y [m] of an object's frame, and its rotation about z [rad].
 Spot = tuple[float, float, float]
 
 
@@ -56,9 +57,9 @@ class _Block:
         turn = np.exp(1j * drawn[:, 2])
         self._center = drawn[:, 0] + 1j * drawn[:, 1]
         frame = self._center - turn * _each([o.middle for o in outlines])
-        self._spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
+        self.spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
         self._side = turn * _each([o.turn for o in outlines])
-        self._half = _each([o.extents for o in outlines])
+        self._half = _each([o.half for o in outlines])
         self._low = _each([r.z + o.low for o, r in things]).real
         self._high = _each([r.z + o.high for o, r in things]).real
         self._boxy = [o.boxy for o in outlines]
@@ -66,7 +67,6 @@ class _Block:
         self._dead: list[bool] = (~stands).tolist()
         self._doubts: dict[int, list[int]] = {}
         self._meets: dict[int, list[int]] = {}
-        self._chosen: dict[int, int] = {}
         self._meet_each_other(stands)
         self._meet_entries(range(there.count))
 
@@ -100,24 +100,20 @@ class _Block:
         else:
             self._doubts.setdefault(c, []).extend(met)
 
-    def first_clear(self, t: int, clear: Clear) -> Spot | None:
-        """Return the first candidate of object ``t`` that is clear of all placed objects, or None."""
+    def first_clear(self, t: int, clear: Clear) -> int | None:
+        """Return the index of the first candidate of object ``t`` that is clear of all placed objects, or None."""
         for c in range(EACH * t, EACH * (t + 1)):
             doubts = tuple(self._doubts.get(c, ()))
-            if not self._dead[c] and (not doubts or clear(*self._spots[c], doubts)):
-                self._chosen[t] = c
-                return self._spots[c]
+            if not self._dead[c] and (not doubts or clear(*self.spots[c], doubts)):
+                return c
         return None
 
-    def entered(self, t: int, entries: range, chosen: bool) -> None:
-        """Record that object ``t`` has been placed and occupies the given entries.
-
-        ``chosen`` is true if the object was placed at its chosen candidate.
-        """
-        if not chosen:
+    def entered(self, entries: range, chosen: int | None) -> None:
+        """Record that an object was placed at candidate ``chosen``, or elsewhere, and occupies the given entries."""
+        if chosen is None:
             self._meet_entries(entries)
             return
-        for c in self._meets.get(self._chosen[t], ()):
+        for c in self._meets.get(chosen, ()):
             self._doubt(c, entries)
 
 
@@ -181,6 +177,11 @@ class Placeable:
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
+def by_area(areas: Mapping[str, float]) -> tuple[str, ...]:
+    """Return object names sorted by decreasing shadow area [m^2], and alphabetically if areas are equal."""
+    return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
+
+
 class Arrangement:
     """The objects in a scene, among which more objects are placed.
 
@@ -195,7 +196,7 @@ class Arrangement:
             poses: Poses X_WO of the objects that have been moved in the twin.
             moving: Names of objects that have not been placed yet. Their riders have not been placed either.
         """
-        self.twin, self.tries = twin, 0
+        self.twin = twin
         self.poses = dict(twin.state.poses) | dict(poses)
         self.moved: dict[str, Pose] = {}
         self.dropped: set[str] = set()
@@ -245,9 +246,7 @@ class Arrangement:
             return also is None or also()
 
         clear = partial(self._is_clear, thing, region)
-        found = find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
-        self.tries += found.tried
-        return found
+        return find(thing.outline, region, self.there, rng, GAP, allowed, clear, None if also is None else last)
 
     def put_all(
         self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
@@ -258,20 +257,17 @@ class Arrangement:
             None if all objects were placed; otherwise the first object that could not be placed and its search result.
         """
         self._stand_on(support)
-        self.tries += EACH * len(things)
         for first in range(0, len(things), TOGETHER):
             batch = [(thing, thing.anywhere(support)) for thing in things[first : first + TOGETHER]]
             block = _Block([(thing.outline, region) for thing, region in batch], self.there, rng)
             for t, (thing, region) in enumerate(batch):
-                entered = self.there.count
-                chosen = spot = block.first_clear(t, partial(self._is_clear, thing, region))
-                if spot is None:
-                    found = self.find(thing, region, rng)
-                    if found.spot is None:
-                        return thing, found
-                    spot = found.spot
-                self.put(thing, region.z, spot)
-                block.entered(t, range(entered, self.there.count), chosen is not None)
+                count = self.there.count
+                chosen = block.first_clear(t, partial(self._is_clear, thing, region))
+                found = self.find(thing, region, rng) if chosen is None else Found(block.spots[chosen])
+                if found.spot is None:
+                    return thing, found
+                self.put(thing, region.z, found.spot)
+                block.entered(range(count, self.there.count), chosen)
         return None
 
     def _is_clear(self, thing: Placeable, region: Region, x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:

@@ -66,7 +66,7 @@ class Occupancy:
         turn = cmath.rect(1.0, yaw)
         center, span = complex(x, y) + turn * outline.middle, (z + outline.low, z + outline.high)
         self._rows[:, k] = center.real, center.imag, outline.size, *span, outline.area, *span
-        self._half[k], self._turn[k] = outline.extents, turn * outline.turn
+        self._half[k], self._turn[k] = outline.half, turn * outline.turn
         self._boxy.append(outline.boxy)
         self.owners.append(owner)
         self.count = k + 1
@@ -174,9 +174,9 @@ class Found:
     """
 
     spot: tuple[float, float, float] | None
-    tried: int
-    standing: int
-    allowed: int
+    tried: int = 0
+    standing: int = 0
+    allowed: int = 0
 
 
 def find(
@@ -217,8 +217,10 @@ def find(
         if not len(left):
             continue
         center, yaw, turn = center[left, 0] + 1j * center[left, 1], yaw[left], turn[left]
-        shape = (np.full(len(left), v) for v in (outline.extents, region.z + outline.low, region.z + outline.high))
-        overlaps = there.overlaps(range(there.count), center, turn * outline.turn, *shape, gap)
+        half, low, high = (
+            np.full(len(left), v) for v in (outline.half, region.z + outline.low, region.z + outline.high)
+        )
+        overlaps = there.overlaps(range(there.count), center, turn * outline.turn, half, low, high, gap)
         for k in range(len(left)):
             met = tuple(overlaps.get(k, ()))
             if met and (clear is None or (outline.boxy and there.any_boxy(met))):
