@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Reader
 from simfoundry.cousins.run.report import draw, examples, summary
-from simfoundry.cousins.run.run import MANIFEST, Ledger, Reader, RunPlan
+from simfoundry.cousins.run.run import MANIFEST, Ledger, RunPlan
 from simfoundry.reports.render import render
 from simfoundry.runtime.files import write_atomically
 
