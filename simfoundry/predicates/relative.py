@@ -127,7 +127,7 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> N
     from simfoundry.predicates.judging.view import over
     from simfoundry.scene.lengths import length
 
-    beside = over(terms.view.boxes(a).middle, terms.view.boxes(b))
+    beside = over(terms.view.aabb_middle(a), terms.view.boxes(b))
     terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} to the side of `{b.name}`")
     met: list[Meeting] = []
 

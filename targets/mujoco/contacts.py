@@ -13,7 +13,7 @@ PROXY = ":proxy"
 """The suffix that a proxy body or geom adds to the name of its link or collider."""
 
 
-class Resistance(NamedTuple):
+class ContactFriction(NamedTuple):
     """The friction of a contact, and its resistance to spinning and rolling [m]."""
 
     friction: float
@@ -21,10 +21,10 @@ class Resistance(NamedTuple):
     rolling: float
 
 
-Form = tuple[int, int, int, int, Resistance]
+Form = tuple[int, int, int, int, ContactFriction]
 """A geom's two masks, priority, contact dimensions and friction."""
 
-AMBIGUOUS = Resistance(float("inf"), float("inf"), float("inf"))
+AMBIGUOUS = ContactFriction(float("inf"), float("inf"), float("inf"))
 """The resistance reported for two colliders if several pairs of their geoms collide, which is an error."""
 
 
@@ -47,15 +47,15 @@ class Meetings:
         self._above = [self._weld[int(model.body_parentid[w])] for w in self._weld]
         columns = (model.geom_contype, model.geom_conaffinity, model.geom_priority, model.geom_condim)
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        frictions = (Resistance(*row) for row in model.geom_friction.tolist())
+        frictions = (ContactFriction(*row) for row in model.geom_friction.tolist())
         self._forms: list[Form] = [(*row, friction) for row, friction in zip(rows, frictions, strict=True)]
 
-    def contact(self, a: list[int], b: list[int]) -> Resistance | None:
+    def contact(self, a: list[int], b: list[int]) -> ContactFriction | None:
         """Return the resistance between two colliders, given by their geoms, or None if they never collide."""
         found = [met for one in a for other in b if (met := self._meet(one, other)) is not None]
         return None if not found else found[0] if len(found) == 1 else AMBIGUOUS
 
-    def surface(self, geom: int) -> Resistance:
+    def surface(self, geom: int) -> ContactFriction:
         """Return a geom's own resistance."""
         return resistance(self._forms[geom][4], self._forms[geom][3])
 
@@ -64,7 +64,7 @@ class Meetings:
         ours, theirs = self.colliders.get(a, {}), self.colliders.get(b, {})
         return any(self.contact(one, other) is not None for one in ours.values() for other in theirs.values())
 
-    def contacts(self) -> Iterator[tuple[str, str, Resistance]]:
+    def contacts(self) -> Iterator[tuple[str, str, ContactFriction]]:
         """Yield all pairs of named colliders in different bodies that can collide, with their resistance."""
         for a, b in combinations(sorted(self.colliders), 2):
             for one, ours in self.colliders[a].items():
@@ -73,7 +73,7 @@ class Meetings:
                     if met is not None:
                         yield one, other, met
 
-    def _meet(self, a: int, b: int) -> Resistance | None:
+    def _meet(self, a: int, b: int) -> ContactFriction | None:
         explicit = self._explicit.get(frozenset((a, b))) if self._explicit else None
         if explicit is not None:
             return explicit
@@ -98,7 +98,7 @@ class Meetings:
         return one == two or joined or (a << 16) + b in self._excluded
 
 
-def resistance(friction: Sequence[float], dimensions: int) -> Resistance:
+def resistance(friction: Sequence[float], dimensions: int) -> ContactFriction:
     """Return the resistance from MuJoCo's three coefficients, using only those that apply to ``dimensions``."""
     sliding, spinning, rolling = friction
-    return Resistance(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)
+    return ContactFriction(sliding, spinning if dimensions > 3 else 0.0, rolling if dimensions > 4 else 0.0)

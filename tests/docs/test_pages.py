@@ -125,6 +125,7 @@ def test_paths_that_a_page_names_exist(page: str) -> None:
     assert missing == []
 
 
+@of_the_checkout
 def test_the_folders_of_the_architecture_are_those_that_there_are() -> None:
     text = (REPOSITORY / "docs/architecture.md").read_text()
     there = {p.name for p in (REPOSITORY / "simfoundry").iterdir() if (p / "__init__.py").is_file()}

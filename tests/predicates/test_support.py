@@ -139,6 +139,14 @@ def test_what_carries_and_what_is_under(placed: Setting, condition: str, expecte
     assert verdict.value is expected, verdict.why
 
 
+def test_the_plumb_line_passes_through_the_middle_of_the_upright_bounding_box(placed: Setting) -> None:
+    """As in BEHAVIOR: the middle of a tilted rack's own box is 16 mm farther along x, beyond the die above it."""
+    state = changed(placed.start, rack=posed(0, 3, 0, 0, math.pi / 4), die=posed(0.112, 3, 0.6))
+    assert placed.judge("Under(rack, die)", state).value
+    shifted = changed(state, die=posed(0.112 + 0.025, 3, 0.6))  # over the middle of the rack's own box alone
+    assert not placed.judge("Under(rack, die)", shifted).value
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0])
 @pytest.mark.parametrize("shelf", ["shelf", "cubby"], ids=["with a back", "without one"])
 @pytest.mark.parametrize(("x", "z", "expected"), [

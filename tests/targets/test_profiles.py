@@ -20,6 +20,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.targets.compile import RULES, compile_target
 from simfoundry.targets.find import UnknownTargetError, find_target, read_profile, target_names
 from tests.cli.command import run
+from tests.conftest import of_the_checkout
 from tests.mechanisms import pendulum
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid
 from tests.targets.everything import write_everything
@@ -200,8 +201,8 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
         ("{timestep: 0.001}", "{time_step: 0.001}", "SF201", 5, "option of the backend `mjcf`"),
         ("{timestep: 0.001}", "{timestep: fast}", "SF103", 5, "expected a number"),
         ("how: checked", "how: guessed", "SF106", 6, "not valid here"),
-        ("my_load.py", "your_load.py", "SF203", 7, "there is no file `your_load.py`"),
-        ("my_load.py", "../../../etc/passwd", "SF203", 7, "there is no file"),
+        ("my_load.py", "your_load.py", "SF203", 7, "file `your_load.py` does not exist"),
+        ("my_load.py", "../../../etc/passwd", "SF203", 7, "does not exist"),
         ("restores: {restitution", "restores: {bounciness", "SF201", 9, "no feature is called `bounciness`"),
         ("  mass:", "  maas:", "SF201", 11, "no feature is called `maas`"),
         ("kind: never", "kind: maybe", "SF106", 11, "not valid here"),
@@ -220,7 +221,7 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
             10,
             "tolerances have no effect without an `engine`",
         ),
-        ("gaps:\n", ENGINE, "SF203", 10, "there is no file `readback.py`"),
+        ("gaps:\n", ENGINE, "SF203", 10, "file `readback.py` does not exist"),
         ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
         ("description: A simulator of my own.", "", "SF102", 1, "`description` is missing"),
     ],
@@ -273,6 +274,7 @@ def test_no_loss_where_all_surfaces_are_equal() -> None:
     assert loss.reason == "drake uses the harmonic mean of a pair: 0.436 for 0.3 and 0.8; the scene specifies 0.49."
 
 
+@of_the_checkout
 def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
     hatchling = pytest.importorskip("hatchling.builders.wheel", reason="hatchling builds the wheel")
     builder = hatchling.WheelBuilder(str(ROOT))

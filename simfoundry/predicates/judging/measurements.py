@@ -39,7 +39,7 @@ class Meeting(NamedTuple):
 
 def meet(view: View, a: Entity, b: Entity) -> Meeting:
     """Measure the parts of ``b`` that the plumb line through the middle of ``a`` intersects outside ``a``."""
-    points = view.boxes(a).middle
+    points = view.aabb_middle(a)
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
     found = list(_chords_of(view, points, b))
     for state, within, _, _ in found:

@@ -220,6 +220,11 @@ class View:
             self._heights[thing] = self.span(thing, UP)
         return self._heights[thing]
 
+    def aabb_middle(self, thing: Entity) -> Array:
+        """Return the middle of the bounding box of an entity along the axes of the world [m], shape (n, 3)."""
+        spans = [self.span(thing, axis) for axis in np.eye(2, 3)] + [self.heights(thing)]
+        return np.stack([(low + high) / 2 for low, high in spans], axis=1)
+
     def boxes(self, thing: Entity) -> Boxes:
         """Return the bounding boxes of an entity."""
         if thing not in self._boxes:
