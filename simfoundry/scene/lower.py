@@ -26,7 +26,6 @@ from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
-from simfoundry.spec.yaml.write import to_data
 
 
 @dataclass
@@ -252,6 +251,8 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
     """Keep the document and its relations, for evaluating the scene and for targets that embed the document."""
+    from simfoundry.spec.yaml.write import to_data  # not needed by lints
+
     loaded, path = lowering.loaded, lowering.loaded.path.resolve()
     # The path relative to the project is the same on every machine.
     file = path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
