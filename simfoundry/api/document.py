@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
+from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, to_plain
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.spec.change.diff.changes import Rename, copied, renamed
 from simfoundry.spec.change.edit_text import edit_text, own_data
@@ -16,7 +16,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.base import DocumentSpec, Model
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.types import field_type, file_patterns, models_at
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
 
@@ -155,8 +155,6 @@ class EditableDocument(DocumentEntry):
 
     def _files(self) -> list[str]:
         """Return the file paths in the document that are relative to its folder."""
-        from simfoundry.spec.models.types import file_patterns
-
         found: list[str] = []
         for pattern in file_patterns(self._model):
             values: list[Any] = [self._data]

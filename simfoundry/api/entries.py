@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping, MutableSequence, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 from pydantic import TypeAdapter
 
@@ -13,6 +13,7 @@ from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.types import field_type
 from simfoundry.spec.yaml.write import to_data
 
 if TYPE_CHECKING:
@@ -263,9 +264,3 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, Path):
         return value.as_posix()
     return value.to_data() if hasattr(value, "to_data") else value
-
-
-def field_type(model: type[Model], name: str) -> Any:
-    """Return the type of a field, annotated with its constraints."""
-    info = model.model_fields[name]
-    return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
