@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,6 +53,11 @@ class Node:
     plain: str = ""
     weight: int = 1
     file: str = ""
+
+    @property
+    def members(self) -> Collection[Node]:
+        """Return the values of a mapping or the items of a list."""
+        return self.children.values() if isinstance(self.children, dict) else self.children or ()
 
     @property
     def place(self) -> tuple[int, int]:
