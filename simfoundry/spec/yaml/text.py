@@ -39,6 +39,11 @@ class Document:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
     """Members that this document adds to its base, by path, with the names of the existing members."""
 
+    def section(self, name: str) -> dict[str, Any]:
+        """Return the data of a section by name; the result is empty if it is missing or not a mapping."""
+        members = self.data.get(name) if isinstance(self.data, dict) else None
+        return members if isinstance(members, dict) else {}
+
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
         """Return the line and column of the value at ``path`` (or of its key), or of the nearest existing ancestor.
 
