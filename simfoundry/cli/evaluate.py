@@ -87,7 +87,7 @@ def eval_command(
         video=_can_film(worlds) if video is None else video,
     )
     with output.progress_bar(as_json) as progress, resumable(out):
-        prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
+        prepare(plan, lambda name, done, of: progress(f"initial states of {name}", done / of))
         evaluation = run_plan(plan, jobs, progress)
     return _print_report(plan, evaluation, require, as_json)
 

@@ -219,8 +219,8 @@ def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
     Nearly all states can then be decided from the corners of the other link's hull.
 
     Returns:
-        A bound on the distance in each state [m], shape (n,), and the indices of the states for which the bounds do not
-        tell on which side of the threshold the distance is.
+        A bound on the distance in each state [m], shape (n,), and the indices of the undecided states, in which the
+        distance may be above or below the threshold.
     """
     if (seen := from_box(pair)) is None:
         n = len(pair.X_WA.p)
