@@ -58,20 +58,16 @@ class Form:
         return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
     @cached_property
-    def _span(self) -> tuple[Array, Array]:
-        points, radius = self.support(1)
-        along = points @ TURNED.T
-        return (along - radius[:, None]).min(axis=0), (along + radius[:, None]).max(axis=0)
-
-    @property
     def low(self) -> Array:
         """Lower extents along :data:`TURNED` [m], shape (5,)."""
-        return self._span[0]
+        points, radius = self.support(1)
+        return np.asarray((points @ TURNED.T - radius[:, None]).min(axis=0))
 
-    @property
+    @cached_property
     def high(self) -> Array:
         """Upper extents along :data:`TURNED` [m], shape (5,)."""
-        return self._span[1]
+        points, radius = self.support(1)
+        return np.asarray((points @ TURNED.T + radius[:, None]).max(axis=0))
 
     @cached_property
     def ball(self) -> tuple[Array, float]:

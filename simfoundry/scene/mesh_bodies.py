@@ -14,9 +14,8 @@ from simfoundry.assets.convex import Colliders, Faces
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
-from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.splat import read_splat
-from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere, closed_mesh
 from simfoundry.scene.bodies import GRAY, MeshUse
@@ -85,23 +84,13 @@ def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
 
 
 def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
-    if found.primitive is not None:
-        return (_fitted(found.primitive),)
-    return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
-
-
-def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
-    """Return the geometry of a primitive fitted to a mesh, and its pose in the mesh frame."""
-    turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.center
-    X_GP = Pose.from_matrix(turn)
-    match primitive.kind:
-        case "box":
-            return Box(frozen(primitive.size)), X_GP
-        case "cylinder":
-            return Cylinder(*primitive.size), X_GP
-        case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.center)
+    """Return the geometry of each collider with its pose in the mesh frame."""
+    if (primitive := found.primitive) is None:
+        return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
+    if primitive.kind == "sphere":
+        return ((Sphere(*primitive.size), Pose.of(primitive.center)),)
+    X_GP = Pose.of(primitive.center, quat_from_matrix(primitive.rotation))
+    return ((Box(frozen(primitive.size)) if primitive.kind == "box" else Cylinder(*primitive.size), X_GP),)
 
 
 def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:

@@ -235,19 +235,13 @@ class View:
                 spans = [self.span(thing, X_WF.R @ u) for u in TURNED]
                 origin = np.einsum("nij,ni->nj", X_WF.R, X_WF.p) @ TURNED.T
                 low, high = (np.stack([s[k] for s in spans], axis=1) - origin for k in (0, 1))
-            self._boxes[thing] = _boxes(X_WF, low, high)
+            # Each row contains the indices in :data:`TURNED` of the three axes of a box.
+            rows = np.array([[0, 1, 2], [3, 4, 2]])
+            bases = TURNED[rows].transpose(0, 2, 1)
+            middles = [rotate(X_WF.R, (low + high)[:, k] / 2 @ basis.T) for k, basis in zip(rows, bases, strict=True)]
+            halves, axes = [(high - low)[:, k] / 2 for k in rows], [X_WF.R @ basis for basis in bases]
+            self._boxes[thing] = Boxes(X_WF.p + np.stack(middles), np.stack(halves), np.stack(axes))
         return self._boxes[thing]
-
-
-def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
-    """Compute boxes from the extents along :data:`TURNED` in the frame, shape (n, 5) each."""
-    centers, halves, axes = [], [], []
-    for rows in ([0, 1, 2], [3, 4, 2]):
-        basis = TURNED[rows].T
-        centers.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
-        halves.append((high - low)[:, rows] / 2)
-        axes.append(X_WF.R @ basis)
-    return Boxes(np.stack(centers), np.stack(halves), np.stack(axes))
 
 
 def over(points: Array, boxes: Boxes) -> Array:
