@@ -104,15 +104,12 @@ class Form:
         if number not in self._part_shapes:
             parts = self.parts
             own = parts.part == number
-            normals, edges = np.zeros((0, 3)), np.zeros((0, 3))
-            if len(parts.triangles):
-                normals = parts.normals[own[parts.triangles[:, 0]]]
-                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # degenerate faces have zero normals
-            if len(parts.edges):
-                ends = parts.edges[own[parts.edges[:, 0]]]
-                edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
-                edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
-                edges = _distinct(edges * np.where(_is_backward(edges), -1.0, 1.0)[:, None])
+            normals = parts.normals[own[parts.triangles[:, 0]]]
+            normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # degenerate faces have zero normals
+            ends = parts.edges[own[parts.edges[:, 0]]]
+            edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
+            edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+            edges = _distinct(edges * np.where(_is_backward(edges), -1.0, 1.0)[:, None])
             self._part_shapes[number] = parts.corners[own], normals, edges
         return self._part_shapes[number]
 

@@ -47,11 +47,9 @@ def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[s
     if not use.touches:
         return MeshBody(pieces)
     vertices, faces = weld(*merged(pieces))
-    solid = None
-    if use.solid != "given":
-        solid, faces = _solid(path.name, vertices, faces, use.solid)
-    elif mass.mesh(vertices, faces).volume < 0:
+    if mass.mesh(vertices, faces).volume < 0:
         faces = np.ascontiguousarray(faces[:, ::-1])
+    solid = None if use.solid == "given" else _solid(path.name, vertices, faces, use.solid)
     found = convex.mesh_colliders(vertices, faces, use.collision, cache, path.name, report)
     if cache is not None and use.collision != "none":
         cache.put(convex.file_key(path, use.scale, use.collision), convex.pack_colliders(found))
@@ -93,21 +91,16 @@ def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
     return ((Box(frozen(primitive.size)) if primitive.kind == "box" else Cylinder(*primitive.size), X_GP),)
 
 
-def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.SolidMoments, Faces]:
-    """Return the solid that defines the mass, and the faces oriented outward."""
+def _solid(name: str, vertices: Array, faces: Faces, how: str) -> mass.SolidMoments:
+    """Return the solid that defines the mass of a mesh whose faces are oriented outward."""
     if how == "hull":
-        outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
-        return mass.mesh(*convex.hull(vertices, limit=len(vertices))), outward
-    gaps = open_edges(faces)
-    if gaps:
+        return mass.mesh(*convex.hull(vertices, limit=len(vertices)))
+    if gaps := open_edges(faces):
         raise not_closed(name, gaps)
     solid = mass.mesh(vertices, faces)
-    if solid.volume < 0:
-        faces = np.ascontiguousarray(faces[:, ::-1])
-        solid = mass.mesh(vertices, faces)
     if solid.volume < LEAST_VOLUME:
         raise no_volume(name)
-    return solid, faces
+    return solid
 
 
 def lower_background(loaded: Loaded, written: BackgroundSpec) -> Background:

@@ -89,7 +89,7 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(NoModelError, match="has no urdf file"):
         find_model(toy, document, ".urdf")
     with pytest.raises(
-        NoModelError, match="`robot_descriptions` does not provide `tin_description`; update that package"
+        NoModelError, match="`robot_descriptions` does not provide `tin_description`; update the package"
     ):
         find_model("robot_descriptions:tin_description", document, ".xml")
 

@@ -43,9 +43,7 @@ class StateBatch:
         initial = SceneState.initial(scene)
         arms = {f"{r}.{j}": (r, j) for s in states for r, joints in s.robots.items() for j in joints}
         if any(r not in s.robots for r in (states[0].robots if states else ()) for s in states):
-            raise ValueError(
-                "only some of the states contain robot joint positions; provide them for all states or for none"
-            )
+            raise ValueError("only some states contain robot joint positions; provide them for all states or for none")
         moving = {name for s in states for name in s.speeds}
         return cls(
             len(states),
@@ -58,12 +56,10 @@ class StateBatch:
 
     def at(self, index: Index) -> StateBatch:
         """Return a batch with the selected states."""
-
-        def taken(arrays: Mapping[str, Array]) -> dict[str, Array]:
-            return {name: values[index] for name, values in arrays.items()}
-
         poses, motions = ({n: x.at(index) for n, x in m.items()} for m in (self.poses, self.motions))
-        return StateBatch(len(index), poses, taken(self.joints), motions, taken(self.robots), taken(self.speeds))
+        values = (self.joints, self.robots, self.speeds)
+        joints, robots, speeds = ({n: x[index] for n, x in m.items()} for m in values)
+        return StateBatch(len(index), poses, joints, motions, robots, speeds)
 
 
 def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
