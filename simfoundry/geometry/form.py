@@ -19,7 +19,7 @@ TURNED[3:] /= np.sqrt(2)
 TURNED.setflags(write=False)
 """Axes of an object's bounding boxes, shape (5, 3): its own axes, and x and y rotated by 45 degrees about z."""
 
-# Maximum number of states that are measured one by one; for more states, precomputing shared data pays off.
+# Maximum number of states that are measured individually; for more states, precomputing shared data is faster.
 FEW = 16
 
 

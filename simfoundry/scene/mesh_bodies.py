@@ -29,9 +29,12 @@ from simfoundry.spec.models.scene import BackgroundSpec
 class MeshBody(NamedTuple):
     """A body created from a mesh file.
 
-    ``pieces`` are its visuals. ``solid`` is a solid with density 1, or None if the mass is already specified.
-    ``colliders`` are posed in the mesh frame, and ``error`` [m] is their maximum distance from the mesh.
-    ``is_approximate`` is True if the hull is used in place of unknown convex parts.
+    Attributes:
+        pieces: The visuals.
+        solid: A solid with density 1, or None if the mass is already specified.
+        colliders: The colliders with their poses in the mesh frame.
+        error: The maximum distance of the colliders from the mesh [m].
+        is_approximate: True if the convex hull is used because the convex parts are not known.
     """
 
     pieces: tuple[MeshPart, ...] = ()

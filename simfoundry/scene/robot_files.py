@@ -52,7 +52,7 @@ def digest(files: list[Path]) -> str:
 
 
 def model_files(file: Path) -> list[Path]:
-    """Return a model file and all files that it references, in the order of the references, without duplicates.
+    """Return a model file and all files that it references, without duplicates and in the order of the references.
 
     Raises :class:`NoModelError` if a file is missing or the model cannot be read.
     """

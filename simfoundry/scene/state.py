@@ -17,15 +17,17 @@ from simfoundry.spec.models.scene import SceneSpec
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """The poses ``X_WO`` of objects by name, and joint states by ``object.joint``.
+    """The state of a scene at one time.
 
-    ``joints`` contains the positions [rad or m] of single-axis joints. ``motions`` contains the motions of ball and
-    free joints, which are poses of the child's frame relative to its pose at position zero; the motion of a ball joint
-    has no translation.
-
-    ``robots`` contains the joint positions of each robot [rad or m], by the joint names of the object that
-    :mod:`simfoundry.backends.robot_models.robot_object` creates from it; if empty, the positions in the scene are used.
-    ``speeds`` [m/s] contains the speed of the fastest point on each object; objects without an entry are at rest.
+    Attributes:
+        poses: The pose ``X_WO`` of each object, by name.
+        joints: The positions of single-axis joints [rad or m], by ``object.joint``.
+        motions: The motions of ball and free joints, by ``object.joint``. A motion is the pose of the child's frame
+            relative to its pose at position zero; for a ball joint, it has no translation.
+        robots: The joint positions of each robot [rad or m], by the joint names of the object that
+            :mod:`simfoundry.backends.robot_models.robot_object` creates from the robot. If empty, the positions in the
+            scene are used.
+        speeds: The speed of the fastest point on each object [m/s]; objects without an entry are at rest.
     """
 
     poses: Mapping[str, Pose]

@@ -99,7 +99,7 @@ def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
 def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
     """Return the depth [m] in a cavity of ``b`` that the fraction :data:`ENCLOSED` of ``a`` reaches, shape (n,).
 
-    The depth is -inf if ``b`` is turned so far that it cannot contain anything.
+    The depth is -inf if ``b`` is tilted too far to contain anything.
     """
     out = np.full(view.n, -np.inf)
     for k, hole, states in held_upward(view, b):

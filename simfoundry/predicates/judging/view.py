@@ -63,7 +63,7 @@ class StateBatch:
 
 
 def _stacked(poses: Mapping[str, Sequence[Pose]]) -> dict[str, Poses]:
-    """Convert the poses of each object in n states, all at once because this is hardly slower than converting one."""
+    """Convert the poses of all objects in n states in one batch, which takes little more time than a single pose."""
     every = [pose for each in poses.values() for pose in each]
     whole = Poses.of(np.array([x.p for x in every]).reshape(-1, 3), np.array([x.q for x in every]).reshape(-1, 4))
     n = len(every) // max(len(poses), 1)
