@@ -35,7 +35,7 @@ class VerifyResults(NamedTuple):
         """True if every difference has a known reason."""
         from simfoundry.verify.run import ProofStatus
 
-        outcomes = (*self.readings, *self.results, *self.rested)
+        outcomes: list[ReadbackResult | BehaviorResult | RestResult] = [*self.readings, *self.results, *self.rested]
         return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
 
 

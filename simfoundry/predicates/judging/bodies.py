@@ -104,13 +104,14 @@ class Bodies:
             native = _native_model(self.scene.robot(owner))
             link = part if native is None else native.frame(part).link
             part = body.robot.links.get(link, link)
+        chosen = tuple(range(len(links)))
         if part:
             moved = {joint.name: joint.child for joint in body.item.joints}
             name = part if any(link.name == part for link in links) else moved.get(part)
             if name is None:
                 there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
                 raise PredicateError(f"`{owner}` has no link or joint `{part}`; available links and joints: {there}")
-        chosen = (body.index(name),) if part else tuple(range(len(links)))
+            chosen = (body.index(name),)
         if not any(body.forms[k] for k in chosen):
             raise PredicateError(f"`{argument}` has no shape to measure")
         return Entity(argument, owner, chosen, not part)
