@@ -382,10 +382,8 @@ class DocumentSpec(Model):
     name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="Human-readable description.")
     allow: dict[Code, Silence] = Field(
-        {},
-        description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object.",
+        {}, description="Warnings to silence, each with a reason: `SF402: why`, or `SF402: {cup: why}` for one object."
     )
     conflicts: dict[str, Conflict] = Field(
-        {},
-        description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry.",
+        {}, description="Unresolved merge conflicts by path; correct the value at the path, then remove the entry."
     )

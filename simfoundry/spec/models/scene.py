@@ -232,9 +232,7 @@ class SceneSpec(DocumentSpec):
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
     background: BackgroundSpec | None = Field(None, description="Visual surroundings of the scene.")
     no_contact: tuple[Touching, ...] = Field(
-        (),
-        max_length=1000,
-        description="Pairs of objects, or of links such as `cabinet.door`, that do not collide.",
+        (), max_length=1000, description="Pairs of objects, or of links such as `cabinet.door`, that do not collide."
     )
     relations: tuple[str, ...] = Field((), description="Relations that should hold, such as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Origin of the scene.")
