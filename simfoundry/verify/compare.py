@@ -121,7 +121,8 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
     used = frozenset[tuple[str, str]]().union(*(keys for _, keys in checker.found))
     # A loss is stale if its element was compared and the loss did not cause a difference.
     seen = checker.checked - checker.untold - used
-    stale = [lo.path for lo in lost if lo.element and _key(lo) in seen and lo.feature not in engine.restored]
+    restored = engine.target.profile.restored
+    stale = [lo.path for lo in lost if lo.element and _key(lo) in seen and lo.feature not in restored]
     mismatches, covered = (tuple(d for d in found if bool(d.covered) == known) for known in (False, True))
     return ReadbackComparison(checker.compared, mismatches, covered, tuple(stale))
 

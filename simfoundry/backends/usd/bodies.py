@@ -164,17 +164,14 @@ def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     # Readers may ignore such attributes.
     body.attribute("physics:centerOfMass", "point3f", vec3(link.com.tolist()))
     body.attribute("physics:diagonalInertia", "float3", vec3(moments.tolist()))
-    body.attribute("physics:mass", "float", rounded(link.mass))
+    body.floats(link.mass, "physics:mass")
     body.attribute("physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
         parent = body.define("Visuals", "Scope")
         for visual in link.visuals:
             define_visual(parent, scopes.looks, visual)
     if link.colliders:
-        _define_colliders(scopes, body.define("Colliders", "Scope"), link)
-
-
-def _define_colliders(scopes: Scopes, parent: Prim, link: Link) -> None:
+        parent = body.define("Colliders", "Scope")
     for collider in link.colliders:
         convex = isinstance(collider.geometry, Mesh)
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI", *(["PhysicsMeshCollisionAPI"] if convex else [])]
