@@ -12,7 +12,7 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Primitive, Sphere
 from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 
-# m/s^2, downward.
+# Gravitational acceleration [m/s^2], downward.
 GRAVITY = 9.81
 
 _GRAY = frozen_array([0.6, 0.6, 0.65, 1.0])
@@ -33,7 +33,7 @@ def solid(
     name: str, shape: Primitive, X_WO: Pose, mass: float = 0.2, friction: float = 0.5, restitution: float = 0.0,
     fixed: bool = False,
 ) -> SceneObject:  # fmt: skip
-    """Return an object that consists of one primitive with uniform density, located at the object's frame."""
+    """Return an object that consists of a single primitive with uniform density, centered on the object's frame."""
     link = _link("body", mass, moments(shape, mass), np.zeros(3), shape, friction, restitution)
     return SceneObject(name, name, fixed, X_WO, (link,))
 
@@ -77,7 +77,7 @@ def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
 
 
 def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
-    """Return a scene with several fixed ramps side by side along y and a box on each; sliding boxes move toward -x."""
+    """Return a scene with fixed ramps side by side along y, and a box on each ramp; sliding boxes move toward -x."""
     objects = []
     for k, angle in enumerate(degrees):
         X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))

@@ -236,7 +236,7 @@ class RestResult:
 
 @dataclass(frozen=True)
 class _Place:
-    """The resting pose of an object or the resting position of a joint: a point [m], and a rotation or angle [rad]."""
+    """The resting state of an object or a joint: a point [m], and a rotation as a quaternion or an angle [rad]."""
 
     point: tuple[float, ...]
     q: tuple[float, ...] | None = None

@@ -37,10 +37,13 @@ _LIGHTEST, _LEAST = 1e-6, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class RobotObject:
-    """A robot converted to an object, its ``item``.
+    """A robot that was converted to an object.
 
-    ``links`` and ``joints`` map the model's names to the item's names, which contain no dots. ``loops`` is the number
-    of closed loops that were cut.
+    Attributes:
+        item: The object.
+        links: The link names in the item, which contain no dots, by link name in the model.
+        joints: The joint names in the item by joint name in the model.
+        loops: The number of closed loops that were cut.
     """
 
     item: SceneObject
