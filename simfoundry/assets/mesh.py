@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
+from simfoundry.assets.textures import gltf_tree
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,10 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles that refer to nonexistent vertices", "export it again")
     parts = tuple(_part(path, m, scale) for m in meshes)
-    _check_numbers(path.name, np.concatenate([p.vertices for p in parts]))
+    bad = sum(int((~np.isfinite(part.vertices)).any(axis=1).sum()) for part in parts)
+    if bad:
+        message = f"{path.name} has {bad} vertices with non-finite coordinates"
+        raise MeshError("SF301", message, "repair or export it again")
     return parts
 
 
@@ -156,12 +159,6 @@ def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
     stream = io.BytesIO()
     Image.frombytes(mode, size, pixels).save(stream, format="PNG")
     return stream.getvalue()
-
-
-def _check_numbers(name: str, vertices: Array) -> None:
-    if not np.isfinite(vertices).all():
-        bad = int((~np.isfinite(vertices).all(axis=1)).sum())
-        raise MeshError("SF301", f"{name} has {bad} vertices with non-finite coordinates", "repair or export it again")
 
 
 def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
@@ -262,15 +259,11 @@ def _ply(path: Path) -> tuple[int, int]:
 def _glb(path: Path) -> tuple[int, int]:
     """Return the total numbers of triangles and points; primitives count once for each node that uses them."""
     try:
-        with path.open("rb") as stream:
-            head = stream.read(20)
-            binary = head[:4] == b"glTF"
-            text = stream.read(int.from_bytes(head[12:16], "little")) if binary else head + stream.read()
-        tree = json.loads(text)
+        tree = gltf_tree(path, MAX_BYTES)
         counts = [int(accessor["count"]) for accessor in tree["accessors"]]
         meshes = [[_primitive(part, counts) for part in mesh["primitives"]] for mesh in tree["meshes"]]
         shown = [meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node] or meshes
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         return 0, 0
     return sum(n for mesh in shown for n, _ in mesh), sum(n for mesh in shown for _, n in mesh)
 

@@ -128,7 +128,9 @@ def _bands(profile: Array) -> list[Polygon]:
     reach = float(profile[:, 0].max()) + 1.0
     bands: list[Polygon] = []
     for low, high in pairwise(heights):
-        bands += _polygons(whole.intersection(box(-1.0, low, reach, high)))
+        band = whole.intersection(box(-1.0, low, reach, high))
+        parts = getattr(band, "geoms", [band])
+        bands += [part for part in parts if part.geom_type == "Polygon" and part.area > 1e-10]
     while (pair := next(_joinable(bands), None)) is not None:
         first, second, union = pair
         bands[first] = union
@@ -143,11 +145,6 @@ def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
             union = bands[first].union(bands[second])
             if _fits(union):
                 yield first, second, union
-
-
-def _polygons(shape: Any) -> list[Polygon]:
-    parts = list(getattr(shape, "geoms", [shape]))
-    return [p for p in parts if p.geom_type == "Polygon" and p.area > 1e-10]
 
 
 def _fits(union: Any) -> bool:
