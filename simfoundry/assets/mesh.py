@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
+from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.textures import gltf_tree
-
-Array = NDArray[np.float64]
 
 # Number of encoded textures kept in memory, which can have up to 200 MB of pixels each.
 #
@@ -41,7 +39,7 @@ class MeshPart:
     """
 
     vertices: Array
-    faces: NDArray[np.int32]
+    faces: Faces
     uv: Array | None = None
     texture: bytes | None = None
     rgba: tuple[float, float, float, float] | None = None
@@ -161,7 +159,7 @@ def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
     return stream.getvalue()
 
 
-def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
+def merged(parts: Sequence[MeshPart]) -> tuple[Array, Faces]:
     """Concatenate the geometries of a mesh file.
 
     Returns:
@@ -172,7 +170,7 @@ def merged(parts: Sequence[MeshPart]) -> tuple[Array, NDArray[np.int32]]:
     return np.concatenate([p.vertices for p in parts]), faces.astype(np.int32)
 
 
-def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+def weld(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     """Merge coincident vertices (texture seams duplicate them) and remove degenerate triangles and unused vertices."""
     tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
@@ -183,7 +181,7 @@ def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.i
     return vertices[first][used], corners.reshape(-1, 3).astype(np.int32)
 
 
-def open_edges(faces: NDArray[np.int32]) -> int:
+def open_edges(faces: Faces) -> int:
     """Return the number of directed edges in welded faces without an opposite edge; 0 for a closed surface."""
     if not len(faces):
         return 0

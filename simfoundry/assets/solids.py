@@ -8,16 +8,13 @@ from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.assets.deviation import distances_outside, face_planes
 from simfoundry.assets.errors import MeshError, shape_crosses_itself
+from simfoundry.assets.mass import Array, Faces
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
-
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
 
 # Number of sides of the visual mesh, whose radius is up to 0.2 % too small. The mass is that of the exact solid.
 SIDES = 48
@@ -224,7 +221,8 @@ def convex_outlines(outline: Array) -> list[Array]:
     for start, end in sorted(edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner):
         kept, gone = owner[start, end], owner[end, start]
         union = _joined(polygons[kept], polygons[gone], start, end)
-        if _is_convex(outline[union]):
+        edges = np.roll(outline[union], -1, axis=0) - outline[union]
+        if (_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all():
             moved = polygons[gone]
             owner |= {(moved[i - 1], moved[i]): kept for i in range(len(moved))}
             polygons[kept] = union
@@ -266,11 +264,6 @@ def _without_straights(points: Array) -> Array:
         else:
             k += 1
     return np.array(corners)
-
-
-def _is_convex(points: Array) -> bool:
-    edges = np.roll(points, -1, axis=0) - points
-    return bool((_cross(edges, np.roll(edges, -1, axis=0)) >= -1e-12).all())
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +11,6 @@ from simfoundry.capture.segment.masks import simplified
 from simfoundry.capture.shapes.texture import encode_png
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
-
-if TYPE_CHECKING:
-    from shapely.geometry import Polygon
 
 DEFAULT_THICKNESS = 0.03  # Thickness [m] of a tabletop whose edge is not visible; common tops are 18 to 40 mm thick
 
@@ -42,17 +37,10 @@ def beneath(outline: Array, footprints: list[Array]) -> Array:
         if not whole.contains(ground):
             joined = whole.union(ground)
             # Connect a footprint that is separate from the visible surface by the shortest path.
-            whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
+            bridge = shapely.shortest_line(whole, ground).buffer(MARGIN, quad_segs=2)
+            whole = joined if joined.geom_type == "Polygon" else joined.union(bridge)
     simple = simplified(shapely.Polygon(whole.exterior), 0.002, growth=1.5)
     return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
-
-
-def _bridge(a: Polygon, b: Polygon) -> Polygon:
-    import shapely
-    from shapely.ops import nearest_points
-
-    start, end = nearest_points(a, b)
-    return shapely.LineString([start, end]).buffer(MARGIN, quad_segs=2)
 
 
 def measured_thickness(frame: Frame, support: SupportSurface) -> float | None:

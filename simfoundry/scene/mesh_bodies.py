@@ -10,16 +10,9 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import (
-    Colliders,
-    Faces,
-    file_key,
-    hull,
-    mesh_colliders,
-    pack_colliders,
-    unpack_colliders,
-)
+from simfoundry.assets.convex import Colliders, file_key, hull, mesh_colliders, pack_colliders, unpack_colliders
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
+from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive

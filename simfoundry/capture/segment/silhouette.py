@@ -23,22 +23,16 @@ def close_silhouettes(labels: Labels, depth: Array, points_W: Array, radius: int
     An object receives pixels without depth in gaps up to twice ``radius`` [px] wide, and all pixels that it encloses,
     unless the support is visible through the opening.
     """
-    out = _without_gaps(labels, ~np.isfinite(depth), radius)
-    for k in range(1, int(labels.max()) + 1):
-        out[_bottom(out == k, (out == 0) & np.isfinite(depth), points_W)] = k
+    out, measured, numbers = labels.copy(), np.isfinite(depth), range(1, int(labels.max()) + 1)
+    for k in numbers:  # a pixel in the gaps of two objects goes to the lower number
+        out[masks.closed(labels == k, radius) & ~measured & (out == 0)] = k
+    for k in numbers:
+        out[_bottom(out == k, (out == 0) & measured, points_W)] = k
         mask = out == k
         parts, areas = masks.components(masks.filled(mask) & (out == 0))
         for hole in (parts == i for i in range(1, len(areas))):
             if _is_own(hole, mask, points_W):
                 out[hole] = k
-    return out
-
-
-def _without_gaps(labels: Labels, lost: Mask, radius: int) -> Labels:
-    """Close the gaps in each object at ``lost`` pixels; a pixel claimed by two objects goes to the lower number."""
-    out = labels.copy()
-    for k in range(1, int(labels.max()) + 1):
-        out[masks.closed(labels == k, radius) & lost & (out == 0)] = k
     return out
 
 

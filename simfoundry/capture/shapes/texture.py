@@ -65,7 +65,10 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mas
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
     texels = _rasterize(atlas, vertices, faces)
-    colors = _paint(texels, _View.of(shape, frame, support, mask), np.array(dominant_color(frame, mask)) * 255.0)
+    core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
+    core = core if core.any() else mask
+    view = _View(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
+    colors = _paint(texels, view, np.array(dominant_color(frame, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
     return Mesh(frozen_array(vertices[atlas.source]), atlas.faces, frozen_array(atlas.uv), encode_png(picture))
 
@@ -111,12 +114,6 @@ class _View:
     support: SupportSurface
     core: Mask
     colors: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, shape: FittedShape, frame: Frame, support: SupportSurface, mask: Mask) -> _View:
-        core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
-        core = core if core.any() else mask
-        return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
 
     def look(self, points: Array, normals: Array) -> tuple[Array, Mask]:
         """Return the colors of points in the object frame, shape (n, 3) in [0, 255], and a mask of visible points."""
