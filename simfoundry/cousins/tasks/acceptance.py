@@ -110,7 +110,8 @@ def _unknown(call: Call, setting: TaskContext) -> Iterator[Reason]:
             hint = nearest(owner, there) or "the scene has none"
             yield Reason("unknown_name", f"no {what} is called `{owner}`; {hint}")
         elif part:
-            names = [each.name for each in (*objects[owner].links, *objects[owner].joints)]
+            item = objects[owner]
+            names = [*(link.name for link in item.links), *(joint.name for joint in item.joints)]
             if part not in names:
                 yield Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}")
     if len(call.args) == 2 and call.args[0] == call.args[1]:

@@ -259,7 +259,7 @@ class GrootPolicy(RemotePolicy):
         (robot,) = robots.values()
         known = {key: reading(name, robots, self.spec.gripper) for key, name in READINGS.items()}
         known["eef_9d"] = eef_9d(robot.X_BH)
-        senses = {"video": images, "state": known}
+        senses: dict[str, Mapping[str, Any]] = {"video": images, "state": known}
         return {kind: {key: every[key] for key in self._takes[kind].keys} for kind, every in senses.items()}
 
     def _timed(self, kind: str, key: str, number: type[np.generic]) -> np.ndarray[Any, Any]:
