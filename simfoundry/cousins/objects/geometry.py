@@ -10,53 +10,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from simfoundry.cousins.objects.components import MAIN, Component, Key, Kind, components, each, parts_of, with_parts
 from simfoundry.cousins.objects.parts import (
-    MAIN,
-    Component,
-    Key,
-    Kind,
     aimed,
     at,
-    axis_of,
     bounds,
-    capsule,
-    components,
-    cylinder,
-    each,
-    is_level,
-    lathe_of,
+    is_radial,
     moved,
-    outward,
-    parts_in,
-    parts_of,
     rod,
+    scaled,
     shaped,
-    with_parts,
     with_rod,
 )
-from simfoundry.cousins.objects.profiles import (
-    THINNEST,
-    Profile,
-    Rng,
-    flared,
-    forms_of,
-    outside,
-    swelled,
-    thickened,
-    walled,
-)
+from simfoundry.cousins.objects.profiles import Profile, Rng, flared, forms_of, outside, swelled, thickened, walled
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
-from simfoundry.spec.models.base import (
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
-    PrismShape,
-    Shape,
-    SphereShape,
-)
+from simfoundry.spec.models.base import LatheShape, SphereShape
 
 # Tolerance for recognizing rotation matrices that map coordinate axes onto coordinate axes.
 SQUARE = 1e-6
@@ -99,29 +69,7 @@ def stretched_part(part: PartSpec, f: Array) -> PartSpec:
             return _leaning_rod(there, size, turn[:, 2], f)
         upright = abs(turn[2, 2]) > 1 - SQUARE and abs(f[0] - f[1]) < SQUARE
         local = np.array(f) if upright else np.full(3, float(np.cbrt(f.prod())))
-    return shaped(there, _scaled(part.shape, local))
-
-
-def _scaled(shape: Shape, f: Array) -> Shape:
-    """Return a shape scaled along its own axes by ``f``, shape (3,)."""
-    x, y, z = (float(v) for v in f)
-    across = float(np.sqrt(x * y))
-    match shape:
-        case BoxShape():
-            a, b, c = shape.box
-            return BoxShape(box=(a * x, b * y, c * z))
-        case SphereShape():
-            return SphereShape(sphere=shape.sphere * float(np.cbrt(x * y * z)))
-        case LatheShape():
-            rings = tuple((r * across, h * z) for r, h in shape.lathe.profile)
-            return LatheShape.model_validate({"lathe": {"profile": rings}})
-        case PrismShape():
-            outline = tuple((u * x, v * y) for u, v in shape.prism.outline)
-            return PrismShape.model_validate({"prism": {"outline": outline, "height": shape.prism.height * z}})
-        case CylinderShape(cylinder=size):
-            return cylinder(size.radius * across, size.height * z)
-        case CapsuleShape(capsule=size):
-            return capsule(size.radius * across, size.height * z)
+    return shaped(there, scaled(part.shape, local))
 
 
 def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Array) -> PartSpec:
@@ -193,7 +141,7 @@ SMALLEST_FOOT = 0.35
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Replace a vessel's silhouette with another suitable one, and change its height, width, wall, floor and foot."""
-    lathe = lathe_of(spec, component)
+    lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1:  # another link, such as a lid, must fit the existing rim
         return None
     key, old = lathe
@@ -207,7 +155,7 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     share, form = forms[name]
     foot = rim * float(np.clip(rng.uniform(*share), SMALLEST_FOOT, 1.0))
     floor = max((old.height - old.depth) * float(rng.uniform(0.85, 1.2)), wall)
-    made = walled(outside(form, foot, rim, height, rng), max(wall, THINNEST), floor)
+    made = walled(outside(form, foot, rim, height, rng), wall, floor)
     if made is None:
         return None
     return with_profile(spec, key, old, made), f"{name}, {height * 1000:.0f} mm high, {2 * rim * 1000:.0f} mm wide"
@@ -251,13 +199,13 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """Change the dimensions of a handle, knob, cap or stem while its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
-    out = outward(spec, component)
+    out = component.outward(spec)
     if out is None:
         return None
     # Scale by the reach along `out`, the direction in which the component protrudes, and by the span across it.
     factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
     # The attachment point is at the end opposite to `out`, centered across it.
-    low, high = bounds(parts_in(spec, component))
+    low, high = bounds(component.parts_in(spec))
     anchor = np.where(out > 0, low, np.where(out < 0, high, (low + high) / 2))
     parts = parts_of(spec)
     for key in component.parts:
@@ -274,7 +222,7 @@ def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile
 
     The result is None if the component is not a solid of revolution.
     """
-    lathe = lathe_of(spec, component)
+    lathe = component.lathe(spec)
     return None if lathe is None else (with_profile(spec, *lathe, change(lathe[1])), words)
 
 
@@ -333,13 +281,6 @@ def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float)
         else:
             out[key] = moved(part, p + rise)
     return out
-
-
-def is_radial(part: PartSpec) -> bool:
-    """Return whether a rod points away from the z axis of its link."""
-    p, axis = at(part), axis_of(part)
-    off = float(np.hypot(*p[:2]))
-    return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9
 
 
 # Edits, and the kinds of components that they apply to.

@@ -15,22 +15,8 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, merged, read_parts
-from simfoundry.cousins.objects.parts import (
-    Component,
-    Key,
-    Kind,
-    aimed,
-    at,
-    axis_of,
-    capsule,
-    components,
-    lathe_of,
-    outward,
-    parts_in,
-    parts_of,
-    rod,
-    with_parts,
-)
+from simfoundry.cousins.objects.components import Component, Key, Kind, components, parts_of, with_parts
+from simfoundry.cousins.objects.parts import aimed, at, axis_of, capsule, rod
 from simfoundry.cousins.objects.profiles import Profile, Rng
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
@@ -152,13 +138,13 @@ class Loop:
     @classmethod
     def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
         """Return the loop formed by a component's rods, or None if the component is not a loop, such as a knob."""
-        own = parts_in(spec, component)
+        own = component.parts_in(spec)
         rods = [(part, size) for part in own if (size := rod(part)) is not None]
         wall = _wall(spec, component.link)
         # The handle protrudes radially from a solid of revolution, and along a coordinate axis from any other body.
         middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
         off = float(np.linalg.norm(middle))
-        out = middle / off if wall is not None and off > 1e-3 else outward(spec, component)
+        out = middle / off if wall is not None and off > 1e-3 else component.outward(spec)
         if out is None or len(rods) != len(own):
             return None
         posts = [(p, size) for p, size in rods if abs(float(axis_of(p) @ out)) > 0.9]
@@ -187,7 +173,7 @@ class Loop:
 
 def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
     for component in components(spec):
-        lathe = lathe_of(spec, component) if component.kind is Kind.VESSEL and component.link == link else None
+        lathe = component.lathe(spec) if component.kind is Kind.VESSEL and component.link == link else None
         if lathe is not None:
             return lathe[1], float(at(parts_of(spec)[lathe[0]])[2])
     return None

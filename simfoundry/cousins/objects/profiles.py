@@ -255,7 +255,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
 
     Args:
         outside: Outer wall from foot to rim [m], shape (k, 2).
-        wall: Wall thickness [m].
+        wall: Wall thickness [m]; at least :data:`THINNEST` is used.
         floor: Height of the inner floor [m].
 
     Returns:
@@ -263,6 +263,7 @@ def walled(outside: Array, wall: float, floor: float) -> Profile | None:
     """
     from shapely.geometry import Polygon
 
+    wall = max(wall, THINNEST)
     tangent = np.gradient(outside, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     inward = np.column_stack([-tangent[:, 1], tangent[:, 0]])

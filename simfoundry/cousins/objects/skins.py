@@ -9,17 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.cousins.objects.appearance import Color, color_gap, color_of, palette_of, priors, varied
+from simfoundry.cousins.objects.components import MAIN, Kind, components, parts_of, with_added, with_parts
 from simfoundry.cousins.objects.meshes import mesh_files, strips
-from simfoundry.cousins.objects.parts import (
-    MAIN,
-    Kind,
-    components,
-    parts_in,
-    parts_of,
-    rod,
-    with_added,
-    with_parts,
-)
+from simfoundry.cousins.objects.parts import rod
 from simfoundry.cousins.objects.profiles import FLAT, LOW, Profile, Rng
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
@@ -55,7 +47,7 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
         unchanged and the description is empty.
     """
     found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
-    found = [c for c in found if not _is_chain(parts_in(spec, c))]
+    found = [c for c in found if not _is_chain(c.parts_in(spec))]
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
