@@ -6,6 +6,7 @@ Components (body, handles, lid, drawers) are identified by names, joints and geo
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -32,10 +33,8 @@ def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
 
 def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
     """Return the spec with its parts replaced by the given parts, in the given order."""
-    links = {
-        name: link.model_copy(update={"parts": {p: part for (owner, p), part in parts.items() if owner == name}})
-        for name, link in spec.links.items()
-    }
+    own = {name: {part: parts[link, part] for link, part in parts if link == name} for name in spec.links}
+    links = {name: link.model_copy(update={"parts": own[name]}) for name, link in spec.links.items()}
     return spec.model_copy(update={"links": links})
 
 
@@ -45,16 +44,16 @@ def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetS
 
 
 def with_added(spec: AssetSpec, link: str, added: Mapping[str, PartSpec], but: Iterable[Key] = ()) -> AssetSpec:
-    """Return the spec with parts added to a link and the parts ``but`` removed.
+    """Return the spec with parts added to a link, and with the parts ``but`` removed.
 
-    Added parts whose names are taken get numbered names.
+    If the name of an added part is already used, the part gets a numbered name.
     """
     parts = {key: part for key, part in parts_of(spec).items() if key not in but}
     names = [name for owner, name in parts if owner == link]
     return with_parts(spec, parts | {(link, free_name(name, names)): part for name, part in added.items()})
 
 
-# Maximum radius [m] of a protruding rod that can be part of a handle.
+# Maximum radius [m] of a rod that can be part of a handle.
 SLIM = 0.012
 
 # Maximum distance [m] between the bounding boxes of parts that belong to the same handle.
@@ -147,10 +146,10 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
     The names are unique, for example ``body``, ``drawer``, ``drawer_handle`` and ``handle_2``.
     """
     found: list[Component] = []
-    taken: dict[str, int] = {}
+    taken = Counter[str]()
 
     def add(name: str, kind: Kind, keys: list[Key]) -> None:
-        taken[name] = taken.get(name, 0) + 1
+        taken[name] += 1
         found.append(Component(name if taken[name] == 1 else f"{name}_{taken[name]}", kind, tuple(keys)))
 
     root = next(iter(spec.links))
@@ -160,8 +159,9 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
         kinds = {key: _attached(key, part, own) for key, part in own.items()}
         main = [key for key, kind in kinds.items() if kind is None]
         if main:
-            moving = _moving(spec, link)
-            add("body" if link == root else link, moving or _main_kind([own[k] for k in main], main), main)
+            joint = next((j for j in spec.joints.values() if j.child == link), None)
+            moving = None if joint is None else Kind.DRAWER if joint.type == "prismatic" else Kind.LID
+            add("body" if link == root else link, moving or _main_kind({k: own[k] for k in main}), main)
         prefix = "" if link == root else f"{link}_"
         for kind in WORDS:
             for group in _groups(own, [key for key, its in kinds.items() if its is kind], kind):
@@ -170,7 +170,7 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
 
 
 def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
-    """Return the kind of a part that is attached to the body, or None if the part belongs to the body."""
+    """Return the kind of a part that is attached to a body, or None if the part belongs to the body."""
     words = set(re.split(r"[_\d]+", key[1])) - {""}
     if len(own) == 1:
         return None
@@ -191,32 +191,25 @@ def _is_slim(part: PartSpec) -> bool:
     return size is not None and size[0] <= SLIM
 
 
-def _moving(spec: AssetSpec, link: str) -> Kind | None:
-    """Return the kind of a link that a joint moves, or None if the link is not moved by a joint."""
-    joint = next((j for j in spec.joints.values() if j.child == link), None)
-    if joint is None:
-        return None
-    return Kind.DRAWER if joint.type == "prismatic" else Kind.LID
-
-
-def _main_kind(parts: list[PartSpec], keys: list[Key]) -> Kind:
-    lathes = [Profile.of(p.shape) for p in parts if isinstance(p.shape, LatheShape)]
+def _main_kind(parts: Parts) -> Kind:
+    """Return the kind of a body that consists of the given parts."""
+    lathes = [Profile.of(p.shape) for p in parts.values() if isinstance(p.shape, LatheShape)]
     if len(lathes) == 1 and lathes[0].is_hollow:
         return Kind.VESSEL
     if len(parts) == 1 and lathes:
         return Kind.TURNED
-    balls = [p for p in parts if isinstance(p.shape, SphereShape)]
-    if len(balls) >= MANY and len(balls) == len(parts):
+    kinds = {type(p.shape) for p in parts.values()}
+    if len(parts) >= MANY and kinds == {SphereShape}:
         return Kind.BUNCH
-    boards = [k for k, p in zip(keys, parts, strict=True) if isinstance(p.shape, BoxShape)]
-    if len(boards) == len(parts) >= 4 and len({w for k in boards for w in k[1].split("_")} & BOARDS) >= 3:
+    words = {word for _, name in parts for word in name.split("_")}
+    if len(parts) >= 4 and kinds == {BoxShape} and len(words & BOARDS) >= 3:
         return Kind.CRATE
-    coaxial = all(np.hypot(*at(p)[:2]) < 1e-3 and abs(axis_of(p)[2]) > 0.999 for p in parts)
+    coaxial = all(np.hypot(*at(p)[:2]) < 1e-3 and abs(axis_of(p)[2]) > 0.999 for p in parts.values())
     return Kind.STACK if len(parts) >= 3 and coaxial else Kind.BODY
 
 
 def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
-    """Group parts into components. Parts of a handle are grouped if they touch; other parts are not grouped."""
+    """Group parts into components. Parts of handles that touch are grouped; all other parts are separate components."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]
     boxes = {key: bounds([own[key]]) for key in keys}

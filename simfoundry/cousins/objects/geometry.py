@@ -35,7 +35,7 @@ SQUARE = 1e-6
 def stretched(spec: AssetSpec, factor: Array) -> AssetSpec:
     """Return the asset scaled along x, y and z by ``factor``, shape (3,), or by the nearest factor its shapes allow.
 
-    Parts that are round about z stay round, and balls stay balls. Wall thickness is scaled too.
+    Parts that are round about z remain round, and spheres remain spheres. The wall thickness is also scaled.
     """
     f = allowed(spec, factor)
     out = each(spec, lambda _, part: stretched_part(part, f))
@@ -92,13 +92,12 @@ def _joint(joint: JointSpec, f: Array) -> JointSpec:
 
 
 def is_ball(spec: AssetSpec) -> bool:
-    """Return whether an asset consists of a single ball."""
-    every = list(parts_of(spec).values())
-    return len(every) == 1 and isinstance(every[0].shape, SphereShape)
+    """Return True if an asset consists of a single sphere."""
+    return [type(part.shape) for part in parts_of(spec).values()] == [SphereShape]
 
 
 def _round_about_z(part: PartSpec) -> bool:
-    """Return whether x and y must be scaled equally to preserve a part's shape."""
+    """Return True if x and y must be scaled equally to preserve a part's shape."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):
         return rod(part) is None
@@ -107,18 +106,17 @@ def _round_about_z(part: PartSpec) -> bool:
 
 
 def _is_square(rotation: Array) -> bool:
-    """Return whether a rotation maps coordinate axes onto coordinate axes."""
+    """Return True if a rotation maps coordinate axes onto coordinate axes."""
     return bool((np.abs(np.abs(rotation).max(axis=0) - 1) < SQUARE).all())
 
 
 # The changed asset and a description of the change.
 Edit = tuple[AssetSpec, str]
 
-# Range of the stretch factor along each axis; results with a size or mass implausible for the category are rejected
-# later.
+# Range of the stretch factor along each axis. Variants with an implausible size or mass are rejected later.
 LEAST, MOST = 0.74, 1.36
 
-# Parts farther from the axis than this fraction of the body's radius are considered attached to its wall.
+# Minimum distance of a part from the axis, as a fraction of the body's radius, to be attached to the body's wall.
 ATTACHED = 0.6
 
 
@@ -135,12 +133,12 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
 # Ranges of the factors on the twin's height, rim radius and wall thickness, similar to the variety of cups in stores.
 HEIGHTS, RIMS, WALLS = (0.74, 1.34), (0.84, 1.2), (0.85, 1.35)
 
-# Minimum foot radius as a fraction of the rim radius; vessels with smaller feet topple when pushed.
+# Minimum foot radius as a fraction of the rim radius. Vessels with smaller feet topple when pushed.
 SMALLEST_FOOT = 0.35
 
 
 def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Replace a vessel's silhouette with another suitable one, and change its height, width, wall, floor and foot."""
+    """Replace a vessel's silhouette, and change its height, width, wall, floor and foot."""
     lathe = component.lathe(spec)
     if lathe is None or len(spec.links) > 1:  # another link, such as a lid, must fit the existing rim
         return None
@@ -149,7 +147,8 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         return None
     widest = float(old.outer[:, 0].max())
     was = np.array([old.height, widest, old.thinnest])
-    height, rim, wall = (float(v) for v in was * [_factor(rng, between) for between in (HEIGHTS, RIMS, WALLS)])
+    factors = [float(np.exp(rng.uniform(*np.log(between)))) for between in (HEIGHTS, RIMS, WALLS)]
+    height, rim, wall = (float(v) for v in was * factors)
     forms = forms_of(old.height / widest)
     name = list(forms)[int(rng.integers(len(forms)))]
     share, form = forms[name]
@@ -161,12 +160,8 @@ def reshape(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     return with_profile(spec, key, old, made), f"{name}, {height * 1000:.0f} mm high, {2 * rim * 1000:.0f} mm wide"
 
 
-def _factor(rng: Rng, between: tuple[float, float]) -> float:
-    return float(np.exp(rng.uniform(*np.log(between))))
-
-
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the slope of a wall; the rim is unchanged if another link, such as a lid, must fit it."""
+    """Change the slope of a wall. The rim stays unchanged if another link, such as a lid, must fit."""
     foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
@@ -197,7 +192,7 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """Change the dimensions of a handle, knob, cap or stem while its attachment point stays in place."""
+    """Change the dimensions of a handle, knob, cap or stem. Its attachment point stays in place."""
     reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
     out = component.outward(spec)
     if out is None:
@@ -218,18 +213,18 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def _reprofiled(spec: AssetSpec, component: Component, change: Callable[[Profile], Profile], words: str) -> Edit | None:
-    """Return the asset with a component's profile changed and all attached parts moved along.
+    """Return the asset with a component's profile changed and the attached parts moved accordingly.
 
     The result is None if the component is not a solid of revolution.
     """
     lathe = component.lathe(spec)
-    return None if lathe is None else (with_profile(spec, *lathe, change(lathe[1])), words)
+    return (with_profile(spec, *lathe, change(lathe[1])), words) if lathe is not None else None
 
 
 def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
-    """Return the asset with the profile of one part replaced.
+    """Return the asset with the profile of a part replaced.
 
-    Parts that are attached to its wall or located on top of it are moved along.
+    Parts that are attached to its wall or located on top of it are moved accordingly.
     """
     parts = parts_of(spec)
     base = at(parts[key])[2]
@@ -241,7 +236,7 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
 
 
 def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float) -> dict[Key, PartSpec]:
-    """Move the parts of a component along with the wall that they are attached to.
+    """Move the parts of a component with the wall to which they are attached.
 
     Args:
         parts: The parts of the component.

@@ -54,11 +54,6 @@ def axis_of(part: PartSpec) -> Array:
     return pose(part.pose).rotation[:, 2]
 
 
-def is_level(direction: Array) -> bool:
-    """Return whether a direction is horizontal, that is, in the x-y plane."""
-    return abs(float(direction[2])) < 1e-3
-
-
 def rod(part: PartSpec) -> tuple[float, float] | None:
     """Return the radius and length [m] of a cylinder or capsule, excluding caps, or None for any other part."""
     match part.shape:
@@ -85,8 +80,8 @@ def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
 def corners(part: PartSpec) -> Array:
     """Return points on the part's surface in the link frame [m], shape (k, 3).
 
-    The bounds of the points equal or approximate the part's bounds. A mesh is represented only by its origin, because
-    its file is not read.
+    The bounds of the points equal or approximate the part's bounds. A mesh is represented by its origin, because its
+    file is not read.
     """
     return pose(part.pose).apply(_own_corners(part.shape))
 
@@ -154,7 +149,7 @@ def scaled(shape: Shape, f: Array) -> Shape:
 
 
 def is_radial(part: PartSpec) -> bool:
-    """Return whether a rod points away from the z axis of its link."""
+    """Return True if a part is a horizontal rod that points away from the z axis of its link."""
     p, axis = at(part), axis_of(part)
-    off = float(np.hypot(*p[:2]))
-    return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9
+    off, is_level = float(np.hypot(*p[:2])), abs(float(axis[2])) < 1e-3
+    return rod(part) is not None and off > 1e-3 and is_level and abs(float(axis[:2] @ p[:2])) / off > 0.9

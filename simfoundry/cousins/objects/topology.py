@@ -167,7 +167,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
     spot[k] += rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.3) * size[k]
     spot[2] = low[2] + 0.5 * thick + box[2] / 2
     x, y, z = (float(v) for v in box)
-    board = PartSpec(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))
+    board = PartSpec(shape=BoxShape(box=(x, y, z)), pose=aimed(spot, UP))
     return with_added(spec, component.link, {"divider": board}), "a board across"
 
 
@@ -185,7 +185,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     inset = 1.4 * radius
     corners = product((low[0] + inset, high[0] - inset), (low[1] + inset, high[1] - inset))
     added = {
-        f"foot_{n}": PartSpec(shape=cylinder(radius, up), pose=_upright(np.array([x, y, low[2] + up / 2])))
+        f"foot_{n}": PartSpec(shape=cylinder(radius, up), pose=aimed(np.array([x, y, low[2] + up / 2]), UP))
         for n, (x, y) in enumerate(corners)
     }
     joints = {
@@ -257,7 +257,7 @@ def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         return None
     long = float(rng.uniform(0.55, 0.8) * size[0])
     spot = np.array([(low[0] + high[0]) / 2, 0.0, high[2] + 0.0008])
-    part = cap.model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": _upright(spot)})
+    part = cap.model_copy(update={"shape": BoxShape(box=(long, 0.0035, 0.002)), "pose": aimed(spot, UP)})
     return with_added(spec, component.link, {"clip": part}), "a clip on its cap"
 
 
@@ -294,11 +294,6 @@ def _vessel(spec: AssetSpec, component: Component) -> tuple[Profile, Array] | No
 
 def _is_shallow(profile: Profile) -> bool:
     return profile.height < SHALLOW * 2 * float(profile.outer[:, 0].max())
-
-
-def _upright(xyz: Array) -> PoseSpec:
-    x, y, z = (round(float(v), 6) for v in xyz)
-    return PoseSpec(xyz=(x, y, z))
 
 
 def _raised(pose: PoseSpec, up: float) -> PoseSpec:
