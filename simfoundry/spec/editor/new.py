@@ -75,13 +75,11 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
     values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
     if extends is not None:
         template, more = "overlay", _overlay(kind, path, extends, project.root)
-    elif kind == "task":
-        template, more = kind, _task(path, source, project.root)
-    elif kind == "cousins":
-        template, more = kind, _cousins(path, source, project.root)
+    elif kind in ("task", "cousins"):
+        template, more = kind, (_task if kind == "task" else _cousins)(path, source, project.root)
+    elif source is not None:
+        raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
     else:
-        if source is not None:
-            raise NewError(f"`--from` is for tasks and recipes; use `--extends` for a {kind} that changes another")
         template, more = kind, {}
     text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
     text = format_text(Template(text).substitute(values | more), str(path))
