@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.robots.arm import Arm, Jaws, finger_positions
+from simfoundry.robots.arm import Arm, Jaws
 from simfoundry.scene.kinematics import trees
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
@@ -238,7 +238,7 @@ class PlanningScene:
         names = list(native.joints.values()) or list(self._world.robot(robot).joints)
         positions = dict(zip(names, q, strict=True))
         if native.gripper is not None:
-            positions |= finger_positions(native.gripper, share)
+            positions |= native.gripper.positions(share)
         for name, position in positions.items():
             self._data.qpos[self._model.joint(f"{robot}.{name}").qposadr[0]] = position
 
