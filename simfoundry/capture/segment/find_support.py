@@ -1,4 +1,4 @@
-"""Find the surface that supports the objects: candidate planes by RANSAC, and the visible outline of each plane."""
+"""Find the surface that supports the objects, using RANSAC to find candidate planes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """A depth image with points and normals in the camera frame; normals are NaN if the depth nearby is sparse."""
+    """A depth image with points and normals in the camera frame; normals are NaN where depth is sparse."""
 
     depth: Array
     K: Array

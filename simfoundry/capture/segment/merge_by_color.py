@@ -1,4 +1,4 @@
-"""Use color as evidence: merge parts of an object that geometry alone separates, and split two objects at a neck."""
+"""Use color to merge parts of the same object, and to split regions that contain two objects."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Hue:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Evidence for and against two parts being the same object: hues, supports, hidden lower edges, and borders."""
+    """Evidence on whether two parts belong to the same object: hues, supports, hidden lower edges, and borders."""
 
     hues: dict[int, Hue]
     on: dict[int, int]
@@ -80,7 +80,7 @@ class _Family:
     adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: RegionPart, other: RegionPart) -> bool:
-        """Return True if ``part`` belongs to ``other``: a cap separated by missing depth, or a part with its hue."""
+        """Return True if ``part`` belongs to ``other``, as a cap separated by missing depth or a part of the same hue."""
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True
@@ -109,7 +109,7 @@ def join_kin(labels: Labels, crop: Crop) -> Labels:
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """Return the labels of the smallest part that belongs to another part, and of that other part."""
+    """Return the label of the smallest part that belongs to another part, followed by the label of that other part."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
