@@ -9,10 +9,10 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.features import Loss, approximate, combination_reason
 from simfoundry.backends.mjcf import contact_rules as rules
 from simfoundry.backends.mjcf.contact_rules import ContactGeom, ContactSurface, UnlikeGroup
-from simfoundry.scene.kinematics import excluded_link_pairs
-from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
+from simfoundry.scene.kinematics import excluded_link_pairs, weld_groups
+from simfoundry.scene.model import Collider, Scene, SceneObject
 
-# The default class for collision geoms, which is the parent of all material classes, and the one for visual geoms.
+# The default class for collision geoms, which is the parent of all material classes, and the class for visual geoms.
 COLLISION, VISUAL = "collision", "visual"
 
 # The geom group that cameras render. Colliders that are not visual are in group 3, which MuJoCo's viewer hides.
@@ -87,12 +87,9 @@ def contact_geoms(scene: Scene) -> list[ContactGeom]:
 
 def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
     """Yield the collision geoms of an object in link order."""
-    static_links = {item.root.name} if item.fixed else set()
+    welded = weld_groups(item)
     for link in item.links:
-        joint = item.joint_above.get(link.name)
-        if joint is not None and joint.type is JointType.FIXED and joint.parent in static_links:
-            static_links.add(link.name)
-        body, static = item.qualified(link.name), link.name in static_links
+        body, static = item.qualified(link.name), item.fixed and welded[link.name] == item.root.name
         for collider in link.colliders:
             name, material = f"{body}.{collider.name}", _class_name(collider.material)
             yield ContactGeom(name, body, static, surface_of(collider), material)
@@ -105,7 +102,7 @@ def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
 
 
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
-    """Yield the friction loss, with the worst pair as an example, if the files leave contacts to MuJoCo's own rule."""
+    """Yield the friction loss if the files leave any contacts to MuJoCo's own rule; the worst pair is the example."""
     groups = rules.written_groups(geoms)[1] if exact else rules.unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):
@@ -123,7 +120,7 @@ def _native_error(group: UnlikeGroup) -> float:
 
 
 def restitution_losses(scene: Scene) -> Iterator[Loss]:
-    """Yield one loss per object with restitution, and one for all objects that should not bounce but do so slightly."""
+    """Yield one loss per object with restitution, and one loss for all objects that rebound but should not."""
     reason = "MuJoCo has no restitution; contact damping keeps rebounds within 0.03 of it, but never below 0.14."
     for item in scene.objects:
         if any(collider.restitution for link in item.links for collider in link.colliders):

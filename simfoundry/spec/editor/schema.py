@@ -1,9 +1,9 @@
 """Generate JSON Schemas for documents, which editors use for completion, hover texts, and error messages.
 
-The schemas are generated from the models and rewritten for display in editors. Alternatives of different types (such as
-a number or a mapping with a range) are combined into one schema, so that editors report an error at its location and
-not as "no match". Each key has a description with its unit, and an initial value to fill in. ``null`` is allowed only
-in overlays, where it removes a value.
+The schemas are generated from the models and adapted for editors. Alternatives of different types, such as a number or
+a mapping with a range, are combined into one schema, so that editors can show the location of an error instead of "no
+match". Each key has a description with its unit, and an initial value. ``null`` is allowed only in documents that
+extend another document, where it removes a value.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from simfoundry.spec.yaml.write import number
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-# Names of the schema parts that combine alternatives, by the models among the alternatives.
+# Names of the schema parts that combine alternatives, with the models that are alternatives in each part.
 UNIONS = {
     "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
@@ -33,29 +33,30 @@ UNIONS = {
     "RobotModel": {"RobotFiles"},
 }
 
-# Pattern for a key that is the end of a predicate: in braces, YAML splits ``goal: OnTop(cup, desk)`` at the comma.
+# Pattern for the end of a predicate, which YAML parses as a key: in braces, it splits ``goal: OnTop(cup, desk)`` at the
+# comma.
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 
 
 def _predicate_pattern() -> str:
-    """Return a pattern for a predicate, or for its start or end if YAML splits the predicate at a comma in brackets."""
+    """Return a pattern for a predicate, or for a part of one if YAML has split it at a comma in brackets."""
     aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
 
-# Schema part for conditions in a list, in which YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number.
+# Name of the schema part for conditions in a list, where YAML parses the middle of ``At(cup, 0.1, 0.2)`` as a number.
 LISTED = "Listed"
 
 
 # Extensions of JSON Schema for editors; strict validators such as ajv reject a schema that contains them.
 FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
 
-# Keywords whose value is a mapping by name; a name may coincide with a keyword.
+# Keywords whose value is a mapping from names, which may be equal to keywords.
 _BY_NAME = ("$defs", "patternProperties", "properties")
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """Return the name and content of every file in ``schemas/``; ``standard`` omits keywords for editors."""
+    """Return the name and content of every file in ``schemas/``; ``standard`` omits the keywords for editors."""
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
@@ -65,26 +66,20 @@ def without_editor_words(part: Any) -> Any:
         return [without_editor_words(item) for item in part]
     if not isinstance(part, dict):
         return part
-    return {
-        key: {name: without_editor_words(inner) for name, inner in value.items()}
-        if key in _BY_NAME
-        else without_editor_words(value)
-        for key, value in part.items()
-        if key not in FOR_EDITORS
-    }
+    named = {key: {name: without_editor_words(v) for name, v in part[key].items()} for key in _BY_NAME if key in part}
+    return {key: named.get(key) or without_editor_words(v) for key, v in part.items() if key not in FOR_EDITORS}
 
 
 def schema(kind: str) -> Schema:
-    """Return the JSON Schema of a kind of document, such as ``scene/1``.
+    """Return the JSON Schema for a document kind, such as ``scene/1``.
 
-    A document that extends another is validated against a relaxed copy without required keys, in which null removes a
-    value.
+    A document that extends another document is validated against a relaxed copy of the schema, which has no required
+    keys and in which null removes a value.
     """
     parts = _Parts(model_of(kind).model_json_schema()).all()
     overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
-    overlay[f"{OVERLAY}Document"]["properties"] |= {
-        key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")
-    }
+    never_null = {key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")}
+    overlay[f"{OVERLAY}Document"]["properties"] |= never_null
     extends = {"title": "extends", "type": "string"}
     return {
         "$schema": DIALECT,
@@ -100,25 +95,22 @@ def schema(kind: str) -> Schema:
 
 @dataclass
 class _Parts:
-    """Parts of a model's schema, rewritten for editors."""
+    """The parts of a model's schema, adapted for editors."""
 
     raw: Schema
     joined: dict[str, Schema] = field(default_factory=dict)
 
     def all(self) -> dict[str, Schema]:
-        """Return every part by name; the document itself is named ``Document``."""
-        models = {**self.raw["$defs"], "Document": {k: v for k, v in self.raw.items() if k != "$defs"}}
+        """Return all parts by name; the part for the entire document is named ``Document``."""
+        title = self.raw["title"]
         apart = set().union(*UNIONS.values())
-        owners = {"Document": self.raw["title"]}
-        parts = {n: self.model(owners.get(n, n), body) for n, body in models.items() if n not in apart}
-        parts["Document"] |= {
-            "title": self.raw["title"].removesuffix("Spec").lower(),
-            "description": self.raw["description"],
-        }
+        parts = {name: self.model(name, body) for name, body in self.raw["$defs"].items() if name not in apart}
+        words = {"title": title.removesuffix("Spec").lower(), "description": self.raw["description"]}
+        parts["Document"] = self.model(title, self.raw) | words
         return dict(sorted((parts | self.joined).items()))
 
     def model(self, owner: str, body: Schema) -> Schema:
-        """Return the schema of a mapping with known keys; the key with the document kind comes first."""
+        """Return the schema of a mapping with known keys, starting with the key for the document kind."""
         keys = sorted(body["properties"], key=lambda key: key != "simfoundry")
         properties = {key: self.key(owner, key, body["properties"][key]) for key in keys}
         required = sorted(body.get("required", ()), key=keys.index)
@@ -132,26 +124,25 @@ class _Parts:
         return whole | _fragments(properties)
 
     def key(self, owner: str, key: str, body: Schema) -> Schema:
-        """Return the schema of a key, including its descriptions and an initial value."""
+        """Return the schema for a key, including its description and an initial value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
-        if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
-            text = f"{text.rstrip('.')}; default: {_plain(default)}."
+        plain = default if isinstance(default, int | float | str | list) and default != [] else None
+        if plain is not None and "efault" not in text:
+            text = f"{text.rstrip('.')}; default: {literal(plain)}."
         words = _words(key, text)
         if "enum" in core or "const" in core:
             return words | core
-        first = snippets.first_value(owner, key)
-        if isinstance(default, int | float | str | list) and default != []:
-            first = _holes(default)
+        first = snippets.lookup("first", f"{owner}.{key}", key) if plain is None else _holes(plain)
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
         """Return the description of a key, or the description of its value if the key has none."""
-        said = body.get("description") or snippets.description(owner, key)
+        said = body.get("description") or snippets.lookup("descriptions", f"{owner}.{key}")
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
-        """Return the schema of a value without descriptions."""
+        """Return the schema for a value, without descriptions."""
         options = _options(body)
         if len(options) > 1:
             named = {option["$ref"].rpartition("/")[2] for option in options if "$ref" in option}
@@ -167,13 +158,8 @@ class _Parts:
             return {"$ref": body["$ref"]}
         if "patternProperties" in body:
             ((pattern, value),) = body["patternProperties"].items()
-            title, text = PATTERNS[pattern].placeholder, PATTERNS[pattern].rule
-            keys = {
-                "title": title,
-                "description": sentence(text),
-                **_pattern(pattern),
-                **body.get("propertyNames", {}),
-            }
+            words = {"title": PATTERNS[pattern].placeholder, "description": sentence(PATTERNS[pattern].rule)}
+            keys = words | _pattern(pattern) | body.get("propertyNames", {})
             bounds = {key: body[key] for key in ("minProperties",) if key in body}
             return {"type": "object", "propertyNames": keys, "additionalProperties": self.member(value), **bounds}
         if isinstance(body.get("additionalProperties"), dict):
@@ -187,11 +173,11 @@ class _Parts:
         if plain.get("type") == "boolean":
             plain = {"enum": [False, True]}
         if "enum" in plain:
-            return plain | {"enumDescriptions": snippets.meanings(list(map(_plain, plain["enum"])))}
+            return plain | {"enumDescriptions": snippets.meanings(list(map(literal, plain["enum"])))}
         return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
 
     def item(self, body: Schema) -> Schema:
-        """Return the schema of an item of a list."""
+        """Return the schema for an item in a list."""
         core = self.core(body)
         if core == {"type": "string"}:  # relations are the only free-form strings in lists
             return {"type": ["string", "number"], **_special("Condition")}
@@ -204,14 +190,14 @@ class _Parts:
         return core
 
     def member(self, body: Schema) -> Schema:
-        """Return the schema of a member with an arbitrary name."""
+        """Return the schema for a member that can have any name."""
         core = self.core(body)
         model = core.get("$ref", "").rpartition("/")[2]
         described = self.raw["$defs"].get(model, {}).get("description", "")
         if not described:
             return core
-        words = _words(_title(model), described)
-        first = snippets.first_member(model)
+        words = _words(title(model), described)
+        first = snippets.lookup("members", model)
         return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
@@ -248,7 +234,7 @@ class _Parts:
 
 
 def _options(body: Schema) -> list[Schema]:
-    """Return the flattened alternatives of a value, without null."""
+    """Return the alternatives for a value, including nested ones but without null."""
     for key in ("anyOf", "oneOf"):
         if key in body:
             return [inner for option in body[key] for inner in _options(option)]
@@ -256,7 +242,7 @@ def _options(body: Schema) -> list[Schema]:
 
 
 def _special(union: str) -> Schema:
-    """Return keywords for alternatives that the models cannot express."""
+    """Return schema keywords for a union that cannot be derived from the models."""
     if union == "Condition":
         message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
@@ -270,7 +256,7 @@ def _pattern(pattern: str) -> Schema:
 
 
 def _fragments(properties: Schema) -> Schema:
-    """Allow the remaining pieces of free-form text that YAML splits at commas."""
+    """Return keywords that allow the pieces of a free-form text that YAML has split at commas."""
     cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
     free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
     conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
@@ -278,33 +264,34 @@ def _fragments(properties: Schema) -> Schema:
 
 
 def _words(title: str, text: str) -> Schema:
-    """Return the title and description, with a Markdown version if editors would otherwise show the Markdown syntax."""
+    """Return a title and a description, with a Markdown version if the description contains Markdown syntax."""
     markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
     return {"title": title, "description": text, **markdown}
 
 
-def _title(model: str) -> str:
+def title(model: str) -> str:
     """Return the title of a model: ``camera`` for ``CameraSpec``, ``depth image`` for ``DepthImage``."""
     return " ".join(re.findall(r"[A-Z][a-z]+", model.removesuffix("Spec"))).lower()
 
 
-def _plain(value: Any) -> str:
+def literal(value: Any) -> str:
+    """Format a plain value as YAML on one line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f"[{', '.join(_plain(item) for item in value)}]"
+        return f"[{', '.join(map(literal, value))}]"
     return number(value) if isinstance(value, int | float) else str(value)
 
 
 def _holes(value: Any) -> str:
-    """Return a value as a snippet with a placeholder for each number and each word."""
+    """Format a value as a snippet with a placeholder for each number and word."""
     if isinstance(value, list):
-        return f"[{', '.join(f'${{{k}:{_plain(item)}}}' for k, item in enumerate(value, 1))}]"
-    return f"${{1:{_plain(value)}}}"
+        return f"[{', '.join(f'${{{k}:{literal(item)}}}' for k, item in enumerate(value, 1))}]"
+    return f"${{1:{literal(value)}}}"
 
 
 def _snippet(body: Body, text: str) -> Schema:
-    """Return a snippet for an editor to offer, with a one-line label without placeholders."""
+    """Return a suggestion for editors, with a one-line label that has no placeholders."""
     label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
     return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
 
@@ -324,10 +311,10 @@ def _text(kind: str, standard: bool) -> str:
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
-# Prefix of the names of the relaxed parts.
+# Prefix for the names of relaxed parts.
 OVERLAY = "Overlay"
 
-REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
+REMOVES = {"label": "null", "description": "Removes the value that the extended document specifies.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
 
 
@@ -349,9 +336,9 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """Allow null for a value; descriptions for editors stay on the outer schema."""
+    """Return a schema that also allows null; descriptions for editors stay on the outer level."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
-    words = {key: item[key] for key in kept if key in item}
-    core = {key: value for key, value in item.items() if key not in kept}
+    core = dict(item)
+    words = {key: core.pop(key) for key in kept if key in item}
     options = core.get("allOf") or core.get("anyOf") or [core]
     return {**words, "anyOf": [*options, NULL]}
