@@ -73,13 +73,6 @@ class VerifyEngine:
         beside = build / f"load_{self.target.name}.py"
         return EngineJob(build, run, beside if beside.is_file() else own)
 
-    @property
-    def restored(self) -> frozenset[str]:
-        """The features that are dropped by the target's format but restored by the loader for this engine."""
-        profile = self.target.profile
-        combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
-        return frozenset(profile.restores.keys() | combined)
-
     def tolerance(self, quantity: str) -> float:
         """Return the maximum relative error for a quantity that is read back."""
         stated = self.target.profile.tolerances

@@ -196,7 +196,7 @@ def camera_arguments(camera: Camera) -> dict[str, object]:
     """Return the image size, view matrix and projection matrix of a camera, with column-major matrices as in OpenGL."""
     view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.X_WC.inverse().matrix
     matrices = {"view": rounded_list(view.T), "projection": rounded_list(projection_matrix(camera).T)}
-    return {"width": camera.width, "height": camera.height} | matrices
+    return {"width": camera.width, "height": camera.height, **matrices}
 
 
 def projection_matrix(camera: Camera) -> Array:

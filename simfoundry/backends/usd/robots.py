@@ -67,8 +67,7 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
     for name in wanted:
         frame = source.frame(name) if name else LinkFrame(next(iter(made.links)))
         if frame.link not in made.links:
-            there = ", ".join(made.links)
-            raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; available links: {there}")
+            raise RobotModelError.missing(f"robot `{robot.name}`", "link", frame.link, made.links)
         found.frames[robot.name, name] = prim.children[made.links[frame.link]], frame.X_LF
 
 
