@@ -80,7 +80,7 @@ class _Family:
     adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: RegionPart, other: RegionPart) -> bool:
-        """Return True if ``part`` belongs to ``other``, as a cap separated by missing depth or a part of the same hue."""
+        """Return True if ``part`` belongs to ``other``: a cap behind missing depth, or a part of the same hue."""
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True

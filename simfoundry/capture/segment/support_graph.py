@@ -53,7 +53,7 @@ def carriers(parts: list[RegionPart]) -> dict[int, int]:
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
-    """Return the label of the part whose top meets the bottom of ``part`` and whose footprint overlaps it most, or 0."""
+    """Return the part whose top meets the bottom of ``part`` and whose footprint overlaps it most, or 0."""
     others = [p for p in parts if p.label != part.label and -CONTACT < part.bottom - p.top < 1.5 * CONTACT]
     share, label = max(((shared_footprint(part, p), -p.label) for p in others), default=(0.0, 0))
     return -label if share > OVERLAP else 0
