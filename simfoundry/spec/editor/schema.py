@@ -314,7 +314,7 @@ def _text(kind: str, standard: bool) -> str:
 # Prefix for the names of relaxed parts.
 OVERLAY = "Overlay"
 
-REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
+REMOVES = {"label": "null", "description": "Removes the value that the extended document specifies.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
 
 
