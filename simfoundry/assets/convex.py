@@ -19,13 +19,11 @@ from numpy.typing import NDArray
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.deviation import deviation, simplified
 from simfoundry.assets.errors import MeshError, flat
+from simfoundry.assets.mass import Array, Faces
 from simfoundry.assets.mass import mesh as solid_of
 from simfoundry.assets.mesh_summary import NEARLY_CONVEX, file_digest
 from simfoundry.assets.primitives import KINDS, Primitive, fitted_primitives
 from simfoundry.runtime.workers import Limits, Worker, WorkerError
-
-Array = NDArray[np.float64]
-Faces = NDArray[np.int32]
 
 # Resource limits per mesh; YCB meshes take up to a minute on one core.
 LIMITS = Limits(seconds=300.0, memory=8 * 2**30)
@@ -105,7 +103,7 @@ Part = tuple[Array, Faces]
 # Maximum number of vertices in a convex hull; PhysX simplifies larger hulls on its own.
 MAX_HULL_VERTICES = 64
 
-# Limits for meshes that also collide as their hull although they fill less than ``NEARLY_CONVEX`` of it.
+# Limits for meshes that fill less than ``NEARLY_CONVEX`` of their hull but still collide as the hull.
 #
 # The first is the minimum fraction of the hull's volume that the mesh fills, the second the maximum depth of its
 # concave regions relative to its longest side. Both were chosen from measurements on the 21 YCB-Video objects (`python

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Faces = NDArray[np.int32]  # Vertex indices of triangles, shape (m, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +64,8 @@ def capsule(radius: float, height: float) -> SolidMoments:
     caps = 4 / 3 * math.pi * radius**3
     # Two hemispheres; the center of mass of each is 3/8 of the radius above its flat face.
     across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
-    return SolidMoments(
-        tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
-    )
+    inertia = tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2)
+    return SolidMoments(tube.volume + caps, np.zeros(3), inertia)
 
 
 # Gauss-Legendre nodes and weights on [-1, 1]; three nodes integrate polynomials up to degree 5 exactly.
@@ -96,7 +96,7 @@ def revolution(profile: Array) -> SolidMoments:
     return SolidMoments(volume, np.array([0.0, 0.0, middle + origin]), _diagonal(across, across, spin))
 
 
-def mesh(vertices: Array, faces: NDArray[np.int32]) -> SolidMoments:
+def mesh(vertices: Array, faces: Faces) -> SolidMoments:
     """Return the moments of the solid inside a closed surface, summed over signed tetrahedra.
 
     The volume is negative if the faces point inward.

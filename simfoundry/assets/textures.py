@@ -1,4 +1,4 @@
-"""Find missing or unreadable textures of mesh files.
+"""Find missing or unreadable textures in mesh files.
 
 This module does not import numpy, so that checks start quickly.
 """
@@ -51,9 +51,10 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 
 
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
-    """Return an error message for each unusable texture of a mesh file; empty if there are none.
+    """Return an error message for each unusable texture in a mesh file.
 
-    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; the surface is then untextured.
+    A texture is unusable if it is missing, unreadable, or outside the folder ``root``; simulators would then show the
+    surface without a texture.
     """
     try:
         return list(dict.fromkeys(_faults(path, root)))
@@ -90,18 +91,19 @@ def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
             names = map(_text, _DAE_PICTURE.findall(_head(path)))
             yield from ((path, name) for name in names if "." in name)  # names without a suffix are surface ids
         case ".gltf" | ".glb":
-            images = _gltf(path).get("images", [])
+            images = gltf_tree(path, MAX_HEAD).get("images", [])
             uris = [image["uri"] for image in images if isinstance(image, dict) and isinstance(image.get("uri"), str)]
             yield from ((path, uri) for uri in uris)
 
 
-def _gltf(path: Path) -> dict[str, Any]:
+def gltf_tree(path: Path, max_bytes: int) -> dict[str, Any]:
+    """Return the JSON tree of a glTF or GLB file; it is empty if it is invalid or longer than ``max_bytes``."""
     with path.open("rb") as stream:
         head = stream.read(20)
         if head[:4] == b"glTF":
-            text = stream.read(min(int.from_bytes(head[12:16], "little"), MAX_HEAD))
+            text = stream.read(min(int.from_bytes(head[12:16], "little"), max_bytes))
         else:
-            text = head + stream.read(MAX_HEAD)
+            text = head + stream.read(max_bytes)
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):

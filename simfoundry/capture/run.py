@@ -1,4 +1,4 @@
-"""Turn a capture folder into a folder with a settled scene: reconstruct, settle, write a report, render images."""
+"""Reconstruct a settled scene from a capture, and write it to a folder with a report and images."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ EXAMPLE = (
 class CaptureRun:
     """The result of a capture: the scene document, and a report on how well the scene fits and settles."""
 
+    document: Loaded
     scene_file: Path
     reconstruction: Reconstruction
     settled: SettleResult
@@ -83,7 +84,7 @@ def run_capture(
             write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-    return CaptureRun(out / scene_name, built, settled, report)
+    return CaptureRun(loaded, out / scene_name, built, settled, report)
 
 
 def _document(path: Path) -> Loaded:
@@ -150,7 +151,7 @@ def _settled(
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
     """Return the name of the object that moves farthest from its pose in ``spec`` within two seconds.
 
-    The result is empty if no object moves.
+    The tuple is empty if no object moves.
     """
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]

@@ -47,9 +47,12 @@ NADIR = frozen_array([0.50, 0.52, 0.55])
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A light that casts shadows, with linear ``rgb``.
+    """A light that casts shadows.
 
-    It is located at ``p`` [m, world], or shines from direction ``p`` (unit vector) if it is ``distant``.
+    Attributes:
+        p: The position in the world [m], or a unit vector toward the light if it is distant.
+        distant: True if the light is infinitely far away.
+        rgb: The linear color.
     """
 
     p: Array
@@ -67,7 +70,10 @@ class Studio:
 
 
 def studio(scene: Scene) -> Studio:
-    """Return the lights in the scene; by default, daylight from the upper left as seen by a robot looking along x."""
+    """Return the lights in the scene.
+
+    A scene without lights gets daylight from the upper left, as seen by a robot that looks along x.
+    """
     if not scene.lights:
         lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
@@ -90,9 +96,14 @@ def studio(scene: Scene) -> Studio:
 class Points:
     """The n visible points to shade.
 
-    ``p`` [m, world], unit ``normals`` and unit directions ``to_eye`` have shape (n, 3). ``group``, shape (n,), is the
-    subpixel of each point; there are ``groups`` subpixels. Each subpixel uses different samples of the lamps and the
-    sky, so that the mean over subpixels has soft shadows.
+    Each subpixel uses different samples of the lamps and the sky, so that the mean over subpixels has soft shadows.
+
+    Attributes:
+        p: Positions in the world [m], shape (n, 3).
+        normals: Unit normals, shape (n, 3).
+        to_eye: Unit vectors toward the camera, shape (n, 3).
+        group: The index of the subpixel of each point, shape (n,).
+        groups: The number of subpixels in a pixel.
     """
 
     p: Array
@@ -125,10 +136,7 @@ def shade(surface: SceneSurface, lights: Studio, hits: Hits, at: Points, focal_s
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """Return the ``k``-th of ``count`` samples on a distant lamp.
-
-    For a point lamp or a single sample, the center of the lamp is returned.
-    """
+    """Return sample ``k`` of ``count`` samples on a distant lamp; a point lamp or a single sample is at the center."""
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
@@ -138,7 +146,7 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
 
 
 def _openness(surface: SceneSurface, at: Points) -> Array:
-    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,); 1 if there is only one group."""
+    """Return the visible fraction of the sky at each point, in [0, 1], shape (n,), or 1 if there is only one group."""
     open_sky = np.ones(len(at.p))
     if at.groups == 1:
         return open_sky
@@ -163,8 +171,8 @@ def _openness(surface: SceneSurface, at: Points) -> Array:
 def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
     """Return a mask of the points at which an opaque surface blocks the lamp, shape (n,).
 
-    Shadows are cast by the far side of closed surfaces. The shadow on other surfaces is the same, and smooth shading
-    keeps a soft terminator.
+    Only the far sides of closed surfaces cast shadows. Shadows on other surfaces are the same as with the near sides,
+    and the transition to the unlit side of a smooth surface stays soft.
     """
     shadow = np.zeros(len(points), dtype=np.bool_)
     if not len(points) or not len(surface.corners):
@@ -189,7 +197,7 @@ def _in_shadow(surface: SceneSurface, lamp: Lamp, points: Array) -> NDArray[np.b
 
 
 def background(directions: Array) -> Array:
-    """Return the linear color of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
+    """Return the linear color of the sky along world ``directions``, shape (n, 3), a soft gradient by elevation."""
     rise = unit(directions)[:, 2:]
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
@@ -211,7 +219,7 @@ def _albedo(surface: SceneSurface, hits: Hits, facing: Array, focal_squared: flo
 
 
 def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
-    """Return the texture color of each hit, shape (n, 3), from the mipmap level whose texels are about pixel-sized."""
+    """Return the texture color of each hit, shape (n, 3), using the mipmap level whose texels match the pixel size."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
     at = blend(uv, hits.weights)
@@ -230,7 +238,7 @@ def _textured(surface: SceneSurface, texture: bytes, hits: Hits, facing: Array, 
 
 
 def _bilinear(image: Array, uv: Array) -> Array:
-    """Sample ``image`` (h, w, 3) at ``uv`` (n, 2) with v up, repeating beyond [0, 1]."""
+    """Sample an image with shape (h, w, 3) at ``uv`` with shape (n, 2), where v points up; the image repeats."""
     h, w = image.shape[:2]
     x, y = uv[:, 0] * w - 0.5, (1 - uv[:, 1]) * h - 0.5
     left, top = np.floor(x), np.floor(y)
@@ -265,6 +273,5 @@ def decode_srgb(values: Array) -> Array:
 def encode_srgb(linear: Array) -> NDArray[np.uint8]:
     """Convert linear light to sRGB bytes; values brighter than white are clipped."""
     c = np.clip(linear, 0, 1)
-    return np.asarray(
-        np.rint(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)), dtype=np.uint8
-    )
+    encoded = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(255 * encoded), dtype=np.uint8)

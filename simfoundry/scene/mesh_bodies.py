@@ -10,8 +10,9 @@ import numpy as np
 
 from simfoundry.assets import convex, mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import Colliders, Faces
+from simfoundry.assets.convex import Colliders
 from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
+from simfoundry.assets.mass import Faces
 from simfoundry.assets.mesh import MeshPart, merged, open_edges, read_mesh, read_parts, weld
 from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.splat import read_splat

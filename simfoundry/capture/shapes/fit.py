@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simfoundry.capture.frame import CaptureError, Frame, SupportSurface
+from simfoundry.capture.segment.masks import Labels, Mask
 from simfoundry.capture.shapes.complete import complete
-from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, gather
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, gather
 from simfoundry.capture.shapes.fit_lathe import fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_primitives import fit_box, fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.geometry.frames import Array, Pose
@@ -26,11 +26,14 @@ GAIN = 0.03  # minimum fraction of the object that a completed shape must explai
 class FittedShape:
     """A solid fitted to one object.
 
-    ``geometry`` is a primitive or a closed mesh. ``X_WO`` is its pose in the world, with the origin at the center of
-    the bounding box for primitives, and at the center of the base (z up) for meshes. ``fit_m`` is the median distance
-    of the object's visible points from the surface [m]. ``confidence`` is in [0, 1]; see :func:`confidence`. ``hollow``
-    is True for an open container modeled with its cavity. ``profile`` contains (radius, height) [m], shape (k, 2), if
-    the mesh is a body of revolution.
+    Attributes:
+        geometry: A primitive or a closed mesh.
+        X_WO: Pose of the solid in the world. The origin is the center of the bounding box for a primitive, and the
+            center of the base (z up) for a mesh.
+        fit_m: Median distance of the object's visible points from the surface [m].
+        confidence: Confidence in the fit, in [0, 1]; see :func:`confidence`.
+        hollow: True for an open container that is modeled with its cavity.
+        profile: Pairs (radius, height) [m], shape (k, 2), if the mesh is a body of revolution, otherwise None.
     """
 
     geometry: Geometry
@@ -42,12 +45,7 @@ class FittedShape:
 
 
 def fit_shape(
-    frame: Frame,
-    support: SupportSurface,
-    mask: NDArray[np.bool_],
-    base_z: float,
-    *,
-    labels: NDArray[np.int32] | None = None,
+    frame: Frame, support: SupportSurface, mask: Mask, base_z: float, *, labels: Labels | None = None
 ) -> FittedShape:
     """Fit the solid that best explains the object under ``mask`` (bool, shape (h, w)).
 
@@ -75,14 +73,9 @@ def fit_shape(
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(evidence)
     best = choose([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1])
-    return FittedShape(
-        geometry=best.geometry,
-        X_WO=best.X_WO,
-        fit_m=best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale,
-        confidence=confidence(best, evidence),
-        hollow=best.family == "hollow",
-        profile=best.profile,
-    )
+    fit_m = best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale
+    hollow = best.family == "hollow"
+    return FittedShape(best.geometry, best.X_WO, fit_m, confidence(best, evidence), hollow, best.profile)
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:
@@ -93,11 +86,8 @@ def choose(found: list[FitCandidate]) -> FitCandidate:
     """
     best = min(found, key=lambda c: c.cost)
     simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
-    return simple if _net(best.agreement) - _net(simple.agreement) < GAIN else best
-
-
-def _net(result: RayAgreement) -> float:
-    return result.explained - result.intrusion
+    new, old = (c.agreement.explained - c.agreement.intrusion for c in (best, simple))
+    return simple if new - old < GAIN else best
 
 
 def candidates(evidence: Evidence) -> list[FitCandidate]:

@@ -7,15 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simfoundry.capture.shapes.evidence import (
-    Evidence,
-    FitCandidate,
-    RayAgreement,
-    agreement,
-    cast_box,
-    cast_lathe,
-    cast_sphere,
-)
+from simfoundry.capture.shapes.evidence import Evidence, FitCandidate, RayAgreement, cast_box, cast_lathe, cast_sphere
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, Cylinder, Sphere
 
@@ -120,10 +112,9 @@ def _fit_round(
 
     def judge(shape: Cylinder | Sphere, X_WO: Pose) -> RayAgreement:
         if isinstance(shape, Sphere):
-            return agreement(evidence, cast_sphere(evidence.eye, evidence.rays, shape.radius, X_WO.p))
+            return evidence.judge(cast_sphere, shape.radius, X_WO.p)
         r, z = shape.radius, shape.height / 2
-        profile = np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]])
-        return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile, X_WO))
+        return evidence.judge(cast_lathe, np.array([[0.0, z], [r, z], [r, -z], [0.0, -z]]), X_WO)
 
     def cost(x: Array) -> float:
         return judge(*solid(x)).cost
@@ -177,7 +168,7 @@ def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
 
 
 def _box_agreement(evidence: Evidence, x: Array) -> RayAgreement:
-    return agreement(evidence, cast_box(evidence.eye, evidence.rays, *_unpack(x, evidence.base_z)))
+    return evidence.judge(cast_box, *_unpack(x, evidence.base_z))
 
 
 def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Array:
@@ -187,14 +178,12 @@ def _walk_faces(cost: Callable[[Array], float], lowest: float, x: Array) -> Arra
     separates the object from the background: in that case, no small change to all parameters reduces the cost.
     """
     for step in _WALK:
-        moved = True
-        while moved:
-            moved = False
-            for trial in _moves(x, step):
-                better = cost(trial)
-                if better < lowest - _WORTH:
-                    lowest, x, moved = better, trial, True
-                    break
+        while True:
+            trials = ((cost(trial), trial) for trial in _moves(x, step))
+            better = next((found for found in trials if found[0] < lowest - _WORTH), None)
+            if better is None:
+                break
+            lowest, x = better
     return x
 
 

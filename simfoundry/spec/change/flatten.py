@@ -1,4 +1,4 @@
-"""Flatten a document: join it with the documents that it extends, and write out every default."""
+"""Flatten documents: merge a document with the documents that it extends, and write out all default values."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from simfoundry.spec.change.diff.changes import copied
 from simfoundry.spec.models.base import DocumentSpec, Model
 from simfoundry.spec.models.types import RIVALS, Pattern, field_order, file_patterns
 from simfoundry.spec.yaml.tree import plain_tree
@@ -14,15 +15,15 @@ from simfoundry.spec.yaml.write import write_tree
 
 
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
-    """Return the canonical text of a composed document with all default values written out.
+    """Return the canonical text of a document, including all default values.
 
     Fields with derived values, such as a friction coefficient defined by the material, are omitted. Flattening is
     idempotent.
 
     Args:
-        spec: The composed document.
-        folder: The document's folder.
-        into: The folder that file references become relative to, by default ``folder``.
+        spec: The document, merged with the documents that it extends.
+        folder: The folder that file references in the document are relative to.
+        into: The folder that file references in the result are relative to, which is ``folder`` by default.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -32,7 +33,7 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
 
 
 def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
-    """Return the data of a document in ``folder`` with file references relative to ``into``."""
+    """Return the data of a document with file references relative to ``into`` instead of ``folder``."""
     if folder.resolve() != into.resolve():
         step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
         for pattern in file_patterns(model):
@@ -46,7 +47,7 @@ def digest(text: str) -> str:
 
 
 def full(spec: Model) -> dict[str, Any]:
-    """Return the plain data of a part of a document, including defaults, in canonical order."""
+    """Return the plain data of a document or a part of one, including defaults, in canonical order."""
     given = {name for name in spec.model_fields_set if getattr(spec, name) is not None}
     out: dict[str, Any] = {}
     for name in field_order(type(spec)):
@@ -54,23 +55,12 @@ def full(spec: Model) -> dict[str, Any]:
         rivals = RIVALS.get(name, set())
         if value is None or (name not in given and (rivals & given or (isinstance(value, dict | tuple) and not value))):
             continue
-        out[name] = _plain(value)
+        out[name] = copied(value, lambda item: full(item) if isinstance(item, Model) else item)
     return out
 
 
-def _plain(value: Any) -> Any:
-    match value:
-        case Model():
-            return full(value)
-        case dict():
-            return {key: _plain(item) for key, item in value.items()}
-        case tuple():
-            return tuple(_plain(item) for item in value)
-    return value
-
-
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """Rewrite the file references at ``pattern`` to be relative to another folder."""
+    """Return the data with the file references at ``pattern`` relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)
