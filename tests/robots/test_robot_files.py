@@ -224,7 +224,9 @@ def test_show_tells_robots_what_they_carry_and_what_is_left_out(
     for package in ("mujoco_menagerie", "robot_descriptions"):
         monkeypatch.setitem(sys.modules, package, None)
     shown = run("show", droid).out.splitlines()
-    assert "without robots.arm: no model found: install the robot models with `pip install 'simfoundry[robots]'`" in shown
+    assert (
+        "without robots.arm: no model found: install the robot models with `pip install 'simfoundry[robots]'`" in shown
+    )
 
 
 @pytest.mark.usefixtures("without_models")
