@@ -23,7 +23,7 @@ from simfoundry.geometry.crossings import HalfSpaces, Run, bounds, face_normal, 
 
 # Number of closing directions over half a turn: one every 15 degrees, starting with the dominant normal of the side
 # faces. This measures boxes and prisms exactly. For other shapes, the direction is off by at most 7.5 degrees, which
-# makes the width at most 0.9 % too large.
+# makes the width at most 0.9% too large.
 DIRECTIONS = 12
 
 # Width of a finger pad [m]: 17.5 mm for the Franka Hand, 22 mm for Robotiq's 2F-85, 16 mm for the YAM.
