@@ -128,7 +128,7 @@ def test_the_action_checks_the_paths_that_it_is_given(job: Path) -> None:
     both = run_step("Check", job, paths="good.scene.yaml\nmy scenes\n")
     assert both.returncode == 1 and both.stdout.endswith("1 error in 1 of 2 documents\n")
     missing = run_step("Check", job, paths="nowhere")
-    assert missing.returncode == 2 and "there is no file nowhere" in missing.stderr
+    assert missing.returncode == 2 and "nowhere does not exist" in missing.stderr
     sly = run_step("Check", job, paths='$(touch sly); "; touch sly #')
     assert sly.returncode == 2 and not (job / "sly").exists()
     assert run_step("Check", job, paths="--help").returncode == 2

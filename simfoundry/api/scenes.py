@@ -290,7 +290,7 @@ def _imported(path: Path) -> SceneDocument:
         document.mark_imported(path)
         return document
     if not path.is_file():
-        raise SimfoundryError(f"there is no file {path}")
+        raise SimfoundryError(f"file {path} does not exist")
     folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
     report = import_file(path, Path(folder.name) / f"{path.stem}.scene.yaml")
     assert report.out is not None

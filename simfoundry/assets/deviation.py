@@ -37,7 +37,7 @@ def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -
     points, owner = surface_samples(vertices, faces, ON_MESH)
     planes = [face_planes(corners, sides) for corners, sides in parts]
     step = max(1, len(points) // CHECKED)
-    short = _outside(points[::step], planes)
+    short = distances_outside(points[::step], planes)
     outer = _outer(parts, planes, TOUCHING * float(np.ptp(vertices, axis=0).max()))
     return max(0.0, float(short.max()), _greatest_distance(outer, vertices[faces], points, owner))
 
@@ -74,8 +74,11 @@ def face_planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
     return normal, np.einsum("ij,ij->i", normal, a[length > 0])
 
 
-def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """Return the signed distance [m] from each point to the nearest part, negative inside, shape (n,)."""
+def distances_outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
+    """Return the largest distance [m] of each point to a face plane of the nearest part, shape (n,).
+
+    ``planes`` contains the result of :func:`face_planes` for each part. The distance is negative inside a part.
+    """
     nearest = np.full(len(points), np.inf)
     for normal, offset in planes:
         nearest = np.minimum(nearest, (points @ normal.T - offset).max(axis=1))
@@ -89,7 +92,7 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
         points, _ = surface_samples(corners, sides, max(200, ON_PARTS // len(parts)))
         points = np.concatenate([points, corners])
         others = planes[:k] + planes[k + 1 :]
-        found.append(points[_outside(points, others) > touching] if others else points)
+        found.append(points[distances_outside(points, others) > touching])
     return np.concatenate(found)
 
 

@@ -222,15 +222,12 @@ def check_counts(path: Path) -> None:
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise too_large(path.name, size)
-    triangles, points = _COUNTERS.get(path.suffix.lower(), _unknown)(path)
+    counter = _COUNTERS.get(path.suffix.lower())
+    triangles, points = counter(path) if counter is not None else (0, 0)
     if triangles > MAX_FACES:
         raise MeshError("SF301", f"{path.name} has {triangles} triangles; the limit is {MAX_FACES}", "decimate it")
     if points > MAX_POINTS:
         raise MeshError("SF301", f"{path.name} has {points} points; the limit is {MAX_POINTS}", "decimate it")
-
-
-def _unknown(_path: Path) -> tuple[int, int]:
-    return 0, 0
 
 
 def _stl(path: Path) -> tuple[int, int]:

@@ -6,23 +6,19 @@ reader.
 
 from __future__ import annotations
 
+import hashlib
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pydantic import TypeAdapter
+
+from simfoundry.assets import errors
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.errors import (
-    LEAST_VOLUME,
-    MAX_BYTES,
-    MeshError,
-    flat,
-    implausible_size,
-    no_volume,
-    not_closed,
-    too_large,
-)
+from simfoundry.assets.errors import MeshError
 
 if TYPE_CHECKING:
     from simfoundry.assets.mass import SolidMoments
@@ -91,19 +87,18 @@ class MeshFacts:
             solid: The body's ``solid`` key, or `given` if its inertia is specified; the mesh then need not be closed.
             collision: The body's ``collision`` key.
         """
-        wrong = implausible_size(name, self.size * scale, scale)
-        if wrong is None and solid == "exact":
-            if self.gaps:
-                wrong = not_closed(name, self.gaps)
-            elif self.volume * scale**3 < LEAST_VOLUME:
-                wrong = no_volume(name)
-        if wrong is None and not self.hull and (solid == "hull" or collision != "none"):
-            wrong = flat()
-        return wrong
+        wrong = errors.implausible_size(name, self.size * scale, scale)
+        if wrong is not None:
+            return wrong
+        if solid == "exact" and self.gaps:
+            return errors.not_closed(name, self.gaps)
+        if solid == "exact" and self.volume * scale**3 < errors.LEAST_VOLUME:
+            return errors.no_volume(name)
+        return errors.flat() if not self.hull and (solid == "hull" or collision != "none") else None
 
 
-def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
-    """Return the measurements of a mesh file, from the cache if possible.
+def mesh_facts(path: Path, store: Cache | None = None) -> MeshFacts:
+    """Return the measurements of a mesh file, read from the cache ``store`` if possible.
 
     Raises :class:`MeshError` if the file cannot be read.
     """
@@ -111,7 +106,7 @@ def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
         stat = path.stat()
     except OSError as error:
         raise _unreadable(path, error) from None
-    return _facts(path, (stat.st_size, stat.st_mtime_ns), cache or Cache.default())
+    return _facts(path, (stat.st_size, stat.st_mtime_ns), store or Cache.default())
 
 
 def _unreadable(path: Path, error: OSError) -> MeshError:
@@ -120,30 +115,32 @@ def _unreadable(path: Path, error: OSError) -> MeshError:
 
 
 @lru_cache(maxsize=4096)
-def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
-    """Return the measurements of a file, memoized because many objects often share a mesh.
+def _facts(path: Path, version: tuple[int, int], store: Cache) -> MeshFacts:
+    """Return the measurements of a file; they are memoized because objects often share a mesh.
 
     ``version`` is the file's size [bytes] and modification time [ns].
     """
     size, _ = version
-    if size > MAX_BYTES:
-        raise too_large(path.name, size)
+    if size > errors.MAX_BYTES:
+        raise errors.too_large(path.name, size)
     try:
         key = file_digest(path)
     except OSError as error:
         raise _unreadable(path, error) from None
-    stored = cache.get(key)
-    facts = _read(stored) if stored is not None else None
-    if facts is None:
-        facts = measure(path)
-        cache.put(key, json.dumps(asdict(facts)).encode())
+    with suppress(ValueError):  # the entry is missing, or corrupt and must be recomputed
+        return _reader().validate_json(store.get(key) or b"")
+    facts = measure(path)
+    store.put(key, json.dumps(asdict(facts)).encode())
     return facts
+
+
+@cache
+def _reader() -> TypeAdapter[MeshFacts]:
+    return TypeAdapter(MeshFacts)
 
 
 def file_digest(path: Path) -> str:
     """Return a digest of a file's content and of its suffix, which determines the reader."""
-    import hashlib
-
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
     with path.open("rb") as stream:
         while block := stream.read(2**20):
@@ -151,22 +148,8 @@ def file_digest(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _read(stored: bytes) -> MeshFacts | None:
-    """Deserialize a cache entry; return None if it is corrupt and must be recomputed."""
-    try:
-        data = json.loads(stored)
-        hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
-        numbers = (float(data["size"]), int(data["triangles"]), int(data["gaps"]))
-        faces = tuple((int(a), int(b), int(c)) for a, b, c in data["hull_faces"])
-        moments = (tuple(map(float, data[name])) for name in ("moments", "hull_moments"))
-        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, faces, *moments)
-    except (ValueError, TypeError, KeyError):
-        return None
-
-
 def measure(path: Path) -> MeshFacts:
     """Read a mesh file and measure it; raise :class:`MeshError` if it cannot be read."""
-
     from simfoundry.assets import mass
     from simfoundry.assets.convex import hull
     from simfoundry.assets.mesh import extent, merged, open_edges, read_parts, weld
@@ -179,13 +162,11 @@ def measure(path: Path) -> MeshFacts:
     corners: tuple[Vec, ...] = ()
     hull_faces: tuple[tuple[int, int, int], ...] = ()
     full = None
-    try:
+    with suppress(MeshError):  # coplanar points have no hull, which is reported as a missing volume
         full = mass.mesh(*hull(vertices, limit=len(vertices)))
         points, sides = hull(vertices)
         corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
         hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
-    except MeshError:
-        pass  # coplanar points have no hull, which is reported as a missing volume
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
     return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 

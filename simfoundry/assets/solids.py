@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.deviation import face_planes
+from simfoundry.assets.deviation import distances_outside, face_planes
 from simfoundry.assets.errors import MeshError, shape_crosses_itself
 
 if TYPE_CHECKING:
@@ -117,10 +117,7 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
         near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
         near[near] = (surface[near] @ normal.T - offset).max(axis=1) <= proud
         surface = surface[~near]
-    outside = np.full(len(surface), np.inf)
-    for normal, offset in planes:
-        outside = np.minimum(outside, (surface @ normal.T - offset).max(axis=1))
-    return max(proud, float(outside.max(initial=0.0)))
+    return max(proud, float(distances_outside(surface, planes).max(initial=0.0)))
 
 
 def _bands(profile: Array) -> list[Polygon]:

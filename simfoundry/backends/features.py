@@ -23,15 +23,9 @@ from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene,
 # A function that returns the names of the scene elements that use a feature; a joint is named ``object.joint``.
 Users = Callable[[Scene], Iterable[str]]
 
-# The key under which elements that a target preserves exactly are counted.
-_KEPT = "kept"
-
-# The features that are lost when a robot is dropped.
-_OF_ROBOTS = ("robots", "robot_motors", "robot_contacts")
-
 
 class Fidelity(StrEnum):
-    """The ways in which a target can fail to preserve a feature; scenes with a rejected feature are not compiled."""
+    """A way in which a target fails to preserve a feature; a scene with a rejected feature is not compiled."""
 
     APPROXIMATED = "approximated"
     DROPPED = "dropped"
@@ -40,7 +34,7 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class SupportCell:
-    """The fidelity of a feature in a target, where None means exact, and the ``reason`` for it or a remark."""
+    """The fidelity of a feature in a target (None means exact), and the ``reason`` for it or a remark."""
 
     fidelity: Fidelity | None = None
     reason: str = ""
@@ -51,10 +45,14 @@ Cells = Mapping[str, SupportCell]
 
 @dataclass(frozen=True)
 class Feature:
-    """A property that a spec can state: its group, a human-readable label, and a function that lists its users.
+    """A property that a spec can state.
 
-    ``quantity`` is the last component of a loss path, as in ``cup.friction``. It is empty if the element name alone is
-    the path.
+    Attributes:
+        group: The section of the support matrix that lists the feature.
+        label: A human-readable name.
+        users: A function that returns the names of the scene elements that use the feature.
+        quantity: The last component of a loss path, such as ``friction`` in ``cup.friction``, or an empty string if the
+            path is just the element name.
     """
 
     group: str
@@ -63,37 +61,21 @@ class Feature:
     quantity: str = ""
 
 
-def exact(*features: str) -> dict[str, SupportCell]:
-    """Return the cells for features that are preserved exactly."""
-    return dict.fromkeys(features, SupportCell())
-
-
-def approximated(reason: str) -> SupportCell:
-    """Return the cell for a feature that is preserved only approximately."""
-    return SupportCell(Fidelity.APPROXIMATED, reason)
-
-
-def dropped(reason: str) -> SupportCell:
-    """Return the cell for a feature that is omitted."""
-    return SupportCell(Fidelity.DROPPED, reason)
-
-
-def rejected(reason: str) -> SupportCell:
-    """Return the cell for a feature that prevents a scene from being compiled."""
-    return SupportCell(Fidelity.REJECTED, reason)
-
-
 def read_cells(folder: Path) -> dict[str, SupportCell]:
     """Read a backend's ``features.yaml``, which lists exact features, optional remarks, and reasons for all losses."""
     text = (folder / "features.yaml").read_text(encoding="utf-8")
     table = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    cells = exact(*table["exact"]) | {name: SupportCell(None, remark) for name, remark in table["remarks"].items()}
-    cells |= {name: approximated(reason) for name, reason in table["approximated"].items()}
-    return cells | {name: dropped(reason) for name, reason in table["dropped"].items()}
+    cells = dict.fromkeys(table.pop("exact"), SupportCell())
+    cells |= {name: SupportCell(None, remark) for name, remark in table.pop("remarks").items()}
+    for fidelity, reasons in table.items():
+        cells |= {name: SupportCell(Fidelity(fidelity), reason) for name, reason in reasons.items()}
+    return cells
 
 
 # The cell for shapes that collide as convex parts or similar primitives, which lowering chooses for all targets.
-SIMPLIFIED_COLLIDERS = approximated("All targets use the same simplified shapes; the loss report states the deviation.")
+SIMPLIFIED_COLLIDERS = SupportCell(
+    Fidelity.APPROXIMATED, "All targets use the same simplified shapes; the loss report states the deviation."
+)
 
 
 def _of_objects(label: str, test: Callable[[SceneObject], object], quantity: str, group: str = "object") -> Feature:
@@ -128,37 +110,33 @@ def _left_out(scene: Scene, section: str) -> list[str]:
     return [part.path for part in scene.left_out if part.path.startswith(f"{section}.")]
 
 
-def _robots(scene: Scene) -> list[str]:
-    """Return all robots, including those without a model, because their motors and surfaces are lost as well."""
-    return [*(robot.name for robot in scene.robots), *_left_out(scene, "robots")]
+def _of_robots(label: str, quantity: str = "") -> Feature:
+    """Return a feature of all robots, including those without a model, whose motors and surfaces are lost as well."""
+    return Feature("scene", label, lambda s: [*(r.name for r in s.robots), *_left_out(s, "robots")], quantity)
 
 
 def _mounted_cameras(scene: Scene) -> list[str]:
     return [*(mounted.camera.name for mounted in scene.mounted), *_left_out(scene, "cameras")]
 
 
-def _meshes_around(scene: Scene) -> list[str]:
-    return ["background"] * bool(scene.background and scene.background.visuals)
-
-
-def _splats(scene: Scene) -> list[str]:
-    return ["background"] * bool(scene.background and scene.background.splat)
+def _of_background(label: str, field: str) -> Feature:
+    return Feature("scene", label, lambda s: ["background"] * bool(s.background and getattr(s.background, field)))
 
 
 # All features by name, in the order in which reports list them.
 FEATURES: dict[str, Feature] = {
     "gravity": Feature("scene", "gravity", lambda s: [s.name]),
     "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
-    "robots": Feature("scene", "robots: base, links, joints", _robots),
-    "robot_motors": Feature("scene", "robot motors", _robots, "actuators"),
-    "robot_contacts": Feature("scene", "robot surfaces", _robots, "friction"),
+    "robots": _of_robots("robots: base, links, joints"),
+    "robot_motors": _of_robots("robot motors", "actuators"),
+    "robot_contacts": _of_robots("robot surfaces", "friction"),
     "mounted_cameras": Feature("scene", "cameras on robots and objects", _mounted_cameras),
     "cameras": Feature("scene", "cameras: pose and intrinsics", lambda s: [c.name for c in s.cameras]),
     "distant_lights": _of_lights("distant lights", LightType.DISTANT),
     "point_lights": _of_lights("point lights", LightType.POINT),
     "dome_lights": _of_lights("dome lights", LightType.DOME),
-    "background_mesh": Feature("scene", "background mesh", _meshes_around),
-    "background_splat": Feature("scene", "Gaussian splat background", _splats),
+    "background_mesh": _of_background("background mesh", "visuals"),
+    "background_splat": _of_background("Gaussian splat background", "splat"),
     "pose": _of_objects("pose in the world", lambda o: True, "pose"),
     "fixed": _of_objects("welded to the world", lambda o: o.fixed, "fixed"),
     "category": _of_objects("category", lambda o: o.category, "category"),
@@ -173,12 +151,8 @@ FEATURES: dict[str, Feature] = {
     "cylinder": _of_colliders("collision cylinders", lambda c: isinstance(c.geometry, Cylinder)),
     "capsule": _of_colliders("collision capsules", lambda c: isinstance(c.geometry, Capsule)),
     "convex_mesh": _of_colliders("convex collision meshes", lambda c: isinstance(c.geometry, Mesh)),
-    "collision_shape": _of_objects(
-        "round and hollow shapes with simplified colliders",
-        lambda item: any(link.collision_error for link in item.links),
-        "colliders",
-        "body",
-    ),
+    "collision_shape": _of_objects("round and hollow shapes with simplified colliders",
+                                   lambda o: any(k.collision_error for k in o.links), "colliders", "body"),
     "friction": _of_colliders("pairwise friction (geometric mean)", lambda c: True, "friction"),
     "restitution": _of_colliders("pairwise restitution (geometric mean)", lambda c: True, "restitution"),
     "torsional_friction": _of_colliders("torsional friction", lambda c: c.torsional_friction > 0, "torsional_friction"),
@@ -193,14 +167,12 @@ FEATURES: dict[str, Feature] = {
     "mimic": _of_joints("mimic joints", lambda j: j.mimic is not None, "mimic"),
     "drive": _of_joints("joint drives", lambda j: j.drive is not None, "drive"),
     "joint_position": _of_joints("joint positions", lambda j: j.type is not JointType.FIXED, "position"),
-    "joint_limits": _of_joints(
-        "joint limits", lambda j: j.limits is not None or j.type is JointType.PRISMATIC, "limits"
-    ),
+    "joint_limits": _of_joints("joint limits", lambda j: j.limits or j.type is JointType.PRISMATIC, "limits"),
     "joint_closed": _of_joints("limit at which a joint is closed", lambda j: j.closed is not None, "closed"),
     "joint_damping": _of_joints("viscous joint damping", lambda j: j.damping > 0, "damping"),
     "joint_friction": _of_joints("Coulomb joint friction", lambda j: j.friction > 0, "friction"),
     "armature": _of_joints("armature", lambda j: j.armature > 0, "armature"),
-}
+}  # fmt: skip
 
 
 class Size(NamedTuple):
@@ -214,9 +186,13 @@ class Size(NamedTuple):
 class Loss:
     """A scene feature that a target cannot preserve exactly.
 
-    ``feature`` is a key of :data:`FEATURES`. ``element`` is the scene name of the affected object, joint, collider or
-    light, or empty if all elements that use the feature are affected. ``size`` is the approximation error, or None if
-    it is unknown.
+    Attributes:
+        feature: A key of :data:`FEATURES`.
+        element: The scene name of the affected object, joint, collider or light, or an empty string if all elements
+            that use the feature are affected.
+        fidelity: The way in which the target fails to preserve the feature.
+        reason: A sentence that explains the loss.
+        size: The approximation error, or None if it is unknown.
     """
 
     feature: str
@@ -285,12 +261,12 @@ def count_fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int
     worst: dict[str, dict[str, Fidelity]] = {name: {} for name in users}
     for loss in losses:
         whole_robot = loss.feature == "robots" and loss.fidelity is Fidelity.DROPPED
-        for name in _OF_ROBOTS if whole_robot else (loss.feature,):
+        for name in ("robots", "robot_motors", "robot_contacts") if whole_robot else (loss.feature,):
             for user in _elements(users[name], loss.element):
                 if worst[name].get(user, Fidelity.APPROXIMATED) is Fidelity.APPROXIMATED:
                     worst[name][user] = loss.fidelity
-    counts = {name: Counter(worst[name].get(each, _KEPT) for each in elements) for name, elements in users.items()}
-    return {name: {f: found[f] for f in (_KEPT, *Fidelity) if f in found} for name, found in counts.items() if found}
+    counts = {name: Counter(worst[name].get(each, "kept") for each in elements) for name, elements in users.items()}
+    return {name: {f: found[f] for f in ("kept", *Fidelity) if f in found} for name, found in counts.items() if found}
 
 
 def _users(scene: Scene) -> Mapping[str, list[str]]:

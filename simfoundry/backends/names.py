@@ -1,4 +1,4 @@
-"""Validation of scene names before they are used as file names, XML names and dictionary keys."""
+"""Validation of scene names, which become file names, XML names and dictionary keys."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from weakref import WeakSet
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.model import Scene
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -18,40 +18,32 @@ class InvalidSceneError(SimfoundryError, ValueError):
 
 def check_names(scene: Scene) -> None:
     """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique in its category."""
-    if scene in _SOUND:
+    if scene in _VALID:
         return
-    both = [*(o.name for o in scene.objects), *(r.name for r in scene.robots)]
-    _check("the scene", "scene", [scene.name])
-    _check("the scene", "object" if not scene.robots else "object or robot", both)
-    _check("the scene", "camera", (c.name for c in (*scene.cameras, *(m.camera for m in scene.mounted))))
-    _check("the scene", "light", (light.name for light in scene.lights))
+    _check("the scene", "scene", [scene])
+    _check("the scene", "object or robot" if scene.robots else "object", [*scene.objects, *scene.robots])
+    _check("the scene", "camera", [*scene.cameras, *(mounted.camera for mounted in scene.mounted)])
+    _check("the scene", "light", scene.lights)
     for item in (one for each in scene.objects for one in (each, *each.variants)):
-        _check_object(item)
-    _SOUND.add(scene)
+        _check(item.name, "link", item.links)
+        _check(item.name, "joint", item.joints)
+        _check(item.name, "variant", (item, *item.variants) if item.variants else (), "variant")
+        for link in item.links:
+            _check(f"{item.name}.{link.name}", "visual", link.visuals)
+            _check(f"{item.name}.{link.name}", "collider", link.colliders)
+    _VALID.add(scene)
 
 
 # Scenes whose names have been validated, so that the check is not repeated for every target.
-_SOUND: WeakSet[Scene] = WeakSet()
+_VALID: WeakSet[Scene] = WeakSet()
 
 
-def _check_object(item: SceneObject) -> None:
-    _check(item.name, "link", (link.name for link in item.links))
-    _check(item.name, "joint", (joint.name for joint in item.joints))
-    _check(item.name, "variant", (v.variant for v in (item, *item.variants) if item.variants))
-    for link in item.links:
-        where = f"{item.name}.{link.name}"
-        _check(where, "visual", (visual.name for visual in link.visuals))
-        _check(where, "collider", (collider.name for collider in link.colliders))
-
-
-def _check(where: str, kind: str, names: Iterable[str]) -> None:
+def _check(where: str, kind: str, elements: Iterable[object], field: str = "name") -> None:
     known: set[str] = set()
-    for name in names:
+    for name in (getattr(element, field) for element in elements):
         if not _NAME.fullmatch(name):
-            raise InvalidSceneError(
-                f"{where}: {kind} name {name!r} is invalid; use a lower-case letter followed by "
-                f"lower-case letters, digits and underscores"
-            )
+            rule = "use a lower-case letter followed by lower-case letters, digits and underscores"
+            raise InvalidSceneError(f"{where}: {kind} name {name!r} is invalid; {rule}")
         if name in known:
             raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one")
         known.add(name)

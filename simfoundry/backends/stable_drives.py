@@ -1,9 +1,11 @@
-"""Drive gains for engines with explicit springs, in which gains that are too stiff for the time step are reduced."""
+"""Drive gains for engines with explicit springs; gains that are too stiff for the time step are reduced."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.features import Loss, approximate
@@ -17,30 +19,24 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
     A spring alone diverges at a stiffness of 4 m / dt^2, where m is the driven inertia, and explicit damping alone at
     2 m / dt. At a quarter of these limits, the combination is still stable.
     """
-    if not any(joint.drive is not None for joint in item.joints):
+    stable = {joint.name: joint.drive for joint in item.joints if joint.drive is not None}
+    if not stable:
         return {}
     effective = {name: inertia for tree in trees(item) for name, inertia in effective_inertias(tree).items()}
-    found = {}
-    for joint in item.joints:
-        if joint.drive is not None:
-            stiffest = effective[joint.name] / timestep**2
-            dampest = float("inf") if implicit_damping else effective[joint.name] / (2 * timestep)
-            found[joint.name] = replace(
-                joint.drive,
-                stiffness=min(joint.drive.stiffness, stiffest),
-                damping=min(joint.drive.damping, dampest),
-            )
-    return found
+    for name, drive in stable.items():
+        stiffest = effective[name] / timestep**2
+        dampest = math.inf if implicit_damping else effective[name] / (2 * timestep)
+        stable[name] = replace(drive, stiffness=min(drive.stiffness, stiffest), damping=min(drive.damping, dampest))
+    return stable
 
 
 def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> Iterator[Loss]:
     """Yield one loss for each gain that is reduced."""
     for item in scene.objects:
         stable = stable_drives(item, timestep, implicit_damping)
-        for joint in item.joints:
-            for field in ("stiffness", "damping") if joint.drive is not None else ():
-                wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
-                if written < wanted:
-                    reason = f"Its {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
-                    reason += f"{number(1000 * timestep)} ms would diverge."
-                    yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")
+        for joint, field in product((j for j in item.joints if j.name in stable), ("stiffness", "damping")):
+            wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
+            if written < wanted:
+                reason = f"Its {field} is reduced from {wanted:.4g} to {written:.4g}, because a time step of "
+                reason += f"{number(1000 * timestep)} ms would diverge."
+                yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")

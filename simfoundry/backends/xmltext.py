@@ -32,13 +32,13 @@ def _escaped(value: str) -> str:
 
 def _append(lines: list[str], element: ET.Element, indent: str) -> None:
     if callable(element.tag):  # a comment; its tag is the function that creates comments
-        lines.append(f"{indent}<!-- {(element.text or '').replace('--', '- -')} -->")
+        lines.append(f"{indent}<!-- {(element.text or '').strip().replace('--', '- -')} -->")
         return
     attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])
     text = "" if element.text is None or element.text.isspace() else _escaped(element.text)
     if len(element) == 0:
-        lines.append(f"{indent}<{element.tag}{attributes} />" if not text else
-                     f"{indent}<{element.tag}{attributes}>{text}</{element.tag}>")  # fmt: skip
+        end = f">{text}</{element.tag}>" if text else " />"
+        lines.append(f"{indent}<{element.tag}{attributes}{end}")
         return
     lines.append(f"{indent}<{element.tag}{attributes}>{text}")
     for child in element:

@@ -13,9 +13,9 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds, world_bounds
 
-SAME_OBJECT = 0.06  # Two objects whose centers are farther apart than this [m] are never matched
+SAME_OBJECT = 0.06  # Maximum distance [m] between the centers of an object and its reconstruction
 
-F1_DISTANCE = 0.01
+F1_DISTANCE = 0.01  # Distance [m] within which two surface points count as equal
 
 
 @dataclass(frozen=True)
@@ -49,20 +49,16 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     X_found_truth = found_camera.X_WC @ truth_camera.X_WC.inverse()
     real = [o for o in truth.objects if not o.fixed]
     seen = [o for o in found.objects if not o.fixed]
+    out = [ObjectAccuracy(o.name, "") for o in real]
     if not real or not seen:
-        return [ObjectAccuracy(o.name, "") for o in real]
+        return out
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
     # Clip distances at the limit: otherwise, an object that was not found could take its neighbor's match.
-    matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(np.minimum(distance, SAME_OBJECT))), strict=True))
-    out = []
-    for k, item in enumerate(real):
-        j = matches.get(k)
-        if j is None or distance[k, j] > SAME_OBJECT:
-            out.append(ObjectAccuracy(item.name, ""))
-        else:
-            out.append(_compare(item, X_found_truth @ item.X_WO, seen[j], float(distance[k, j])))
+    for k, j in zip(*linear_sum_assignment(np.minimum(distance, SAME_OBJECT)), strict=True):
+        if distance[k, j] <= SAME_OBJECT:
+            out[k] = _compare(real[k], X_found_truth @ real[k].X_WO, seen[j], float(distance[k, j]))
     return out
 
 

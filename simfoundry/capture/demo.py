@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import ObjectAccuracy, compare
+from simfoundry.capture.reconstruct import Progress
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.files import shipped
@@ -19,8 +19,6 @@ from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.targets.build import TARGETS, build
 from simfoundry.worlds import open_world, world_names
 from simfoundry.worlds.rest import ObjectMotion, simulate
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,33 +52,26 @@ def own_capture() -> Path:
     return shipped("specs/captures/desk")
 
 
-def run_demo(
-    capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None, force: bool = False
-) -> Demo:
+def run_demo(capture: Path, out: Path, frame: str | None, progress: Progress, force: bool) -> Demo:
     """Run the demo and write its results to ``out/scene`` and ``out/worlds``.
 
     Raises :class:`SpecError` if the capture is unusable.
     """
-    report = progress or (lambda stage, share: None)
     cache = Cache.default()
-    run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), cache, force)
+    run = run_capture(capture, out / "scene", frame, lambda stage, share: progress(stage, 0.7 * share), cache, force)
     scene = lower_file(run.scene_file, cache)
-    report("compile", 0.75)
+    progress("compile", 0.75)
     artifacts = build(scene, TARGETS, out / "worlds", force)
     motions: dict[str, list[ObjectMotion] | str] = {}
     for k, engine in enumerate(world_names()):
-        report(f"run in {engine}", 0.8 + 0.1 * k)
-        motions[engine] = _motions(scene, engine)
+        progress(f"run in {engine}", 0.8 + 0.1 * k)
+        try:
+            with open_world(scene, engine) as world:
+                motions[engine] = simulate(world)
+        except MissingEngineError as error:
+            motions[engine] = f"did not run: {error}"
     worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
     return Demo(run, worlds, motions, _truth(capture, frame, scene), out / "scene" / "compare.png")
-
-
-def _motions(scene: Scene, engine: str) -> list[ObjectMotion] | str:
-    try:
-        with open_world(scene, engine) as world:
-            return simulate(world)
-    except MissingEngineError as error:
-        return f"did not run: {error}"
 
 
 def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:

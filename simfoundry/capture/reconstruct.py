@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simfoundry.capture.describe import (
-    SUPPORT,
-    SUPPORT_NAME,
-    TABLE,
-    camera_spec,
-    color_word,
-    kind_of,
-    material_spec,
-    mesh_files,
-    meters,
-    object_spec,
-    support_spec,
-    unique_names,
-)
+from simfoundry.capture import describe
+from simfoundry.capture.describe import SUPPORT_NAME, kind_of, mesh_files
 from simfoundry.capture.frame import CaptureError, Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
+from simfoundry.capture.segment.masks import Labels
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support_object import beneath, support_mesh, thickness
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box, tessellate
-from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.base import Material, Origin
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import LightSpec, SceneSpec
 
@@ -40,10 +28,10 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A spec, the files that it references (keyed by relative path), and the results of each stage.
+    """A reconstructed scene, and the results of each stage.
 
-    ``names`` maps each object to its number in ``segmentation``. ``skipped`` lists the segments that did not become
-    objects, with reasons.
+    ``files`` contains the files that ``spec`` references, keyed by relative path. ``names`` maps each object to its
+    number in ``segmentation``. ``skipped`` lists the segments that did not become objects, with reasons.
     """
 
     spec: SceneSpec
@@ -52,66 +40,51 @@ class Reconstruction:
     segmentation: Segmentation
     names: dict[str, int]
     shapes: dict[str, FittedShape]
-    skipped: tuple[str, ...] = field(default=())
+    skipped: tuple[str, ...] = ()
 
 
-def reconstruct(
-    name: str, frame: Frame, given_names: dict[str, int] | None = None, progress: Progress | None = None
-) -> Reconstruction:
+def reconstruct(name: str, frame: Frame, given_names: Mapping[str, int], progress: Progress) -> Reconstruction:
     """Reconstruct a scene spec called ``name`` from a single image.
 
     ``given_names`` maps object names to their numbers in ``frame.instances``. Raises :class:`CaptureError` if no
     support or no object is found in the image.
     """
-    report = progress or (lambda stage, share: None)
-    report("support", 0.0)
+    progress("support", 0.0)
     support = find_support(frame)
-    report("objects", 0.1)
+    progress("objects", 0.1)
     segmentation = decompose(frame, support)
+    labels = segmentation.labels
     shapes, carriers, skipped = fit_segments(
-        frame, support, segmentation, lambda stage, share: report(stage, 0.3 + 0.4 * share)
+        frame, support, segmentation, lambda stage, share: progress(stage, 0.3 + 0.4 * share)
     )
     if not shapes:
         raise CaptureError("SF504", "could not fit any object", "; ".join(skipped))
-    colors = {k: dominant_color(frame, segmentation.labels == k) for k in shapes}
-    names = _names(frame, segmentation, shapes, colors, given_names or {})
+    names = _names(frame, labels, shapes, given_names)
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(support, outline=beneath(support.outline, grounded))
     slab = thickness(frame, support)
-    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, segmentation.labels, slab.value))
-    objects = {SUPPORT_NAME: support_spec(name, support, slab)}
-    materials = {SUPPORT.name: material_spec(SUPPORT)}
+    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, labels, slab.value))
+    objects = {SUPPORT_NAME: describe.support_spec(name, support, slab)}
     for done, (k, shape) in enumerate(shapes.items()):
-        report(names[k], 0.7 + 0.3 * done / len(shapes))
-        mesh = textured_mesh(shape, frame, support, segmentation.labels == k)
-        files |= mesh_files(names[k], mesh)
-        substance = TABLE[kind_of(shape.geometry, shape.hollow)]
-        materials[substance.name] = material_spec(substance)
-        objects[names[k]] = object_spec(name, names[k], shape, mesh, substance, colors[k])
-    relations = tuple(f"OnTop({names[k]}, {names.get(carriers[k], SUPPORT_NAME)})" for k in shapes)
+        progress(names[k], 0.7 + 0.3 * done / len(shapes))
+        files |= mesh_files(names[k], textured_mesh(shape, frame, support, labels == k))
+        objects[names[k]] = describe.object_spec(name, names[k], shape)
+    priors = [describe.SUPPORT, *(describe.TABLE[kind_of(shape)] for shape in shapes.values())]
+    key_light = LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0))
     spec = SceneSpec(
         simfoundry="scene/1",
         name=name,
         viewpoint="view",
-        materials=materials,
+        materials={prior.name: Material(density=prior.density, friction=prior.friction) for prior in priors},
         objects=objects,
-        cameras={"view": camera_spec(frame, support)},
-        lights={
-            "key": LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0)),
-            "sky": LightSpec(type="dome", intensity=0.7),
-        },
-        relations=relations,
-        origin=Origin(capture=name, fit_error=meters(support.residual)),
+        cameras={"view": describe.camera_spec(frame, support)},
+        lights={"key": key_light, "sky": LightSpec(type="dome", intensity=0.7)},
+        relations=tuple(f"OnTop({names[k]}, {names.get(carriers[k], SUPPORT_NAME)})" for k in shapes),
+        origin=Origin(capture=name, fit_error=describe.meters(support.residual)),
     )
-    return Reconstruction(
-        spec,
-        files,
-        support,
-        segmentation,
-        {n: k for k, n in names.items()},
-        {names[k]: s for k, s in shapes.items()},
-        skipped,
-    )
+    numbers = {name: k for k, name in names.items()}
+    fitted = {names[k]: shape for k, shape in shapes.items()}
+    return Reconstruction(spec, files, support, segmentation, numbers, fitted, skipped)
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
@@ -149,23 +122,18 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
     return spec.model_copy(update={"relations": tuple(relations)})
 
 
-def _names(
-    frame: Frame,
-    segmentation: Segmentation,
-    shapes: dict[int, FittedShape],
-    colors: dict[int, tuple[float, float, float]],
-    given: dict[str, int],
-) -> dict[int, str]:
+def _names(frame: Frame, labels: Labels, shapes: dict[int, FittedShape], given: Mapping[str, int]) -> dict[int, str]:
     """Name every object: use the name from the capture if there is one, otherwise derive it from color and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():
-            covered = segmentation.labels[(frame.instances == number) & (segmentation.labels > 0)]
+            covered = labels[(frame.instances == number) & (labels > 0)]
             if len(covered):
                 wanted[int(np.bincount(covered).argmax())] = name
     for k, shape in shapes.items():
-        wanted.setdefault(k, f"{color_word(colors[k])}_{kind_of(shape.geometry, shape.hollow)}")
-    return dict(zip(shapes, unique_names((wanted[k] for k in shapes), [SUPPORT_NAME]), strict=True))
+        color = describe.color_word(dominant_color(frame, labels == k))
+        wanted.setdefault(k, f"{color}_{kind_of(shape)}")
+    return dict(zip(shapes, describe.unique_names(wanted[k] for k in shapes), strict=True))
 
 
 # Maximum depth [m] of an object's visible points below the top of its support; fitted tops are off by 1 to 2 cm.
@@ -175,11 +143,11 @@ DOUBTFUL = 0.05  # Minimum confidence of a fit; below this, the solid explains a
 
 CARRIED = 0.25  # Minimum fraction of an object's visible points that must be above its support
 
-FOOTHOLD = 0.01  # Minimum distance by which a support extends past the middle of the object on it [m]
+FOOTHOLD = 0.01  # Minimum distance [m] by which a box extends past the middle of the object that it supports
 
-DEEPEST = 0.12  # Maximum depth that may be added to a box for this purpose [m]
+DEEPEST = 0.12  # Maximum depth [m] that may be added to a box to support an object
 
-EDGE = 0.01  # Tolerance past the edge of the support within which points count as above it [m]
+EDGE = 0.01  # Distance [m] past the edge of a support within which points still count as above it
 
 
 def fit_segments(
@@ -193,10 +161,10 @@ def fit_segments(
     """
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
-    skipped: list[str] = []
+    skipped = []
     order = _bottom_up(segmentation)
     for done, k in enumerate(order):
-        report(f"shape {k}", done / max(len(order), 1))
+        report(f"shape {k}", done / len(order))
         carriers[k] = _carrier(frame, support, segmentation, shapes, k)
         base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
         try:
@@ -266,7 +234,7 @@ def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedSh
     return replace(carrier, geometry=Box(frozen_array(size)), X_WO=X_WO @ Pose.of(shift))
 
 
-def footprint(shape: FittedShape) -> NDArray[np.float64]:
+def footprint(shape: FittedShape) -> Array:
     """Return the corners of a fitted shape, projected to world xy [m], shape (n, 2)."""
     return shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, :2]
 

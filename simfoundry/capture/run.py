@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.capture.frame import CaptureError, Frame
 from simfoundry.capture.load import load_frame
-from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
+from simfoundry.capture.reconstruct import Progress, Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import ensure_folder_replaceable, staged, write_file
 from simfoundry.scene.lower import lower, pose
@@ -30,8 +29,6 @@ from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleResult, settle
-
-Progress = Callable[[str, float], None]
 
 EXAMPLE = (
     "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
@@ -53,7 +50,7 @@ def run_capture(
     path: Path,
     out: Path,
     frame_name: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda stage, share: None,
     cache: Cache | None = None,
     force: bool = False,
 ) -> CaptureRun:
@@ -65,35 +62,28 @@ def run_capture(
         SpecError: The capture is unusable; the error contains every finding.
         OutputError: ``out`` contains files that no capture wrote or that were edited since, and ``force`` is not set.
     """
-    report_progress = progress or (lambda stage, share: None)
     loaded = _document(path)
-    shown, out = out, out.resolve()
-    _ensure_replaceable(out, loaded.path, force)
+    folder = out.resolve()
+    _ensure_replaceable(folder, loaded.path, force)
     assert isinstance(loaded.spec, CaptureSpec)
-    frame_name = frame_name or next(iter(loaded.spec.frames))
+    frames = loaded.spec.frames
+    frame_name = frame_name or next(iter(frames))
     frame = load_frame(loaded, frame_name)
+    name = loaded.spec.name if len(frames) == 1 else f"{loaded.spec.name}_{frame_name}"
+    masks = frames[frame_name].masks
+    scene_name = f"{name}.scene.yaml"
     try:
-        return _run(loaded, frame_name, frame, out, shown, cache, report_progress)
+        given = masks.names if masks is not None else {}
+        built = reconstruct(name, frame, given, lambda stage, share: progress(stage, 0.6 * share))
+        with staged(folder) as staging:
+            built, scene, settled = _settled(built, staging / scene_name, cache, progress)
+            progress("pictures", 0.95)
+            _pictures(built, frame, scene, settled, staging)
+            report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
+            write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     except CaptureError as error:
         raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
-
-
-def _run(
-    loaded: Loaded, frame_name: str, frame: Frame, out: Path, shown: Path, cache: Cache | None, progress: Progress
-) -> CaptureRun:
-    assert isinstance(loaded.spec, CaptureSpec)
-    masks = loaded.spec.frames[frame_name].masks
-    name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
-    given = masks.names if masks is not None else None
-    built = reconstruct(name, frame, given, lambda stage, share: progress(stage, 0.6 * share))
-    with staged(out) as staging:
-        scene_name = f"{built.spec.name}.scene.yaml"
-        built, scene, settled = _settled(built, staging / scene_name, cache, progress)
-        progress("pictures", 0.95)
-        _pictures(built, frame, scene, settled, staging)
-        report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
-        write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
-    return CaptureRun(shown / scene_name, built, settled, report)
+    return CaptureRun(out / scene_name, built, settled, report)
 
 
 def _document(path: Path) -> Loaded:
@@ -177,7 +167,6 @@ def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settle
     from simfoundry.render.montage import overlay, save_png, side_by_side
     from simfoundry.render.raycast import raycast
 
-    assert isinstance(built.spec, SceneSpec)
     seen = raycast(scene, scene.cameras[0], settled.state)
     tinted = overlay(frame.color, built.segmentation.labels, 0.45)
     panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
@@ -189,21 +178,13 @@ def _report(built: Reconstruction, settled: SettleResult, source: str) -> dict[s
     objects = {}
     for name, shape in built.shapes.items():
         pixels = int(np.count_nonzero(built.segmentation.labels == built.names[name]))
-        rest = {k: _rounded(v) for k, v in settle_of[name].items() if k != "name"}
-        objects[name] = {
-            "pixels": pixels,
-            "fit": _rounded(shape.fit_m),
-            "confidence": _rounded(shape.confidence),
-            "settle": rest,
-        }
+        fit, confidence = round(shape.fit_m, 6), round(shape.confidence, 6)
+        rest = {k: round(v, 6) if isinstance(v, float) else v for k, v in settle_of[name].items() if k != "name"}
+        objects[name] = {"pixels": pixels, "fit": fit, "confidence": confidence, "settle": rest}
     return {
         "source": source,
         "passed": settled.passed and not built.skipped,
-        "support": {"residual": _rounded(built.support.residual), "corners": len(built.support.outline)},
+        "support": {"residual": round(built.support.residual, 6), "corners": len(built.support.outline)},
         "objects": objects,
         "skipped": list(built.skipped),
     }
-
-
-def _rounded(value: Any) -> Any:
-    return round(value, 6) if isinstance(value, float) else value

@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from simfoundry.cli.options import ANY, NEW_FOLDER
-from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
+from simfoundry.cli import output
+from simfoundry.cli.options import ANY, NEW_FOLDER, option
 from simfoundry.cli.scenes import settle_table
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("capture", type=ANY)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Output folder for the scene. Default: build/<capture name>.")
 @click.option("--frame", help="Name of the frame to reconstruct. Default: the first.")
@@ -29,30 +29,26 @@ def capture_command(
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture
 
-    target = out or Path("build") / _name(capture)
-    with progress_bar(as_json) as progress:
+    # The name of a capture is that of its folder, or NAME for a file NAME.capture.yaml.
+    folder = capture if capture.is_dir() else capture.parent
+    is_named = capture.is_file() and capture.name != "capture.yaml"
+    target = out or Path("build") / (capture.name.split(".")[0] if is_named else folder.resolve().name)
+    with output.progress_bar(as_json) as progress:
         run = run_capture(capture, target, frame, progress, Cache.default(), force)
-    verdict = FINDINGS if strict and not run.report["passed"] else DONE
+    verdict = output.FINDINGS if strict and not run.report["passed"] else output.DONE
     if as_json:
-        print_json({"scene": str(run.scene_file), **run.report})
+        output.print_json({"scene": str(run.scene_file), **run.report})
         return verdict
-    click.echo(settle_table(run.settled.to_json()["objects"]))
+    click.echo(settle_table(run.settled.objects))
     for reason in run.reconstruction.skipped:
         click.echo(f"not reconstructed: {reason}")
     click.echo(f"{run.scene_file}  {len(run.reconstruction.shapes)} objects; pictures in {target / 'compare.png'}")
     return verdict
 
 
-def _name(capture: Path) -> str:
-    """Return the name of a capture: the name of its folder, or NAME for a file NAME.capture.yaml."""
-    if capture.is_dir() or capture.name == "capture.yaml":
-        return (capture if capture.is_dir() else capture.parent).resolve().name
-    return capture.name.split(".")[0]
-
-
-@subcommand()
+@output.subcommand()
 @click.argument("capture", type=ANY, required=False)
-@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
+@option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"))
 @click.option("--frame", help="Reconstruct this frame. Default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even if it contains other files or your edits.")
 def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
@@ -65,33 +61,31 @@ def demo_command(capture: Path | None, out: Path, frame: str | None, force: bool
     from simfoundry.evaluate.demo import demonstrate
 
     folder = capture or own_capture()
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
         progress("running a task with an arm", 0.7)
         arm = demonstrate(demo.run.scene_file, out / "arm", force)
     if as_json:
-        print_json(demo.to_json() | {"arm": arm.to_json()})
+        output.print_json(demo.to_json() | {"arm": arm.to_json()})
         return
     click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
-    click.echo(settle_table(demo.run.settled.to_json()["objects"]))
+    click.echo(settle_table(demo.run.settled.objects))
     if demo.comparison:
         click.echo("\nrecovered against true values")
         click.echo(_truth_table([c.to_json() for c in demo.comparison]))
     click.echo("\nmotion in 2 s of simulation")
     for engine, motions in demo.motions.items():
-        if isinstance(motions, str):
-            click.echo(f"{engine:<9} {motions}")
-        else:
-            worst = max(motions, key=lambda m: m.moved)
-            turned = max(m.turned_deg for m in motions)
-            click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
+        text = motions
+        if not isinstance(motions, str):
+            worst, turned = max(motions, key=lambda m: m.moved), max(m.turned_deg for m in motions)
+            text = f"at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg"
+        click.echo(f"{engine:<9} {text}")
     click.echo("\ntask with a robot arm")
     if arm.task is None:
         click.echo(f"not run: {arm.reason}")
-    elif arm.success:
-        click.echo(f"“{arm.instruction}”  done in {arm.seconds:.1f} s")
     else:
-        click.echo(f"“{arm.instruction}”  failed after {arm.seconds:.1f} s: {arm.reason}")
+        result = f"done in {arm.seconds:.1f} s" if arm.success else f"failed after {arm.seconds:.1f} s: {arm.reason}"
+        click.echo(f"“{arm.instruction}”  {result}")
     click.echo("\ncompiled")
     for target, path in demo.worlds.items():
         click.echo(f"{target:<9} {path}")
@@ -107,12 +101,8 @@ def _truth_table(rows: list[dict[str, Any]]) -> str:
         if not r["recovered"]:
             lines.append(f"{r['name']:<10}not found")
             continue
-        sizes = f"{_cm(r['size_true'])} -> {_cm(r['size'])}"
+        sizes = " -> ".join(" ".join(f"{100 * v:.1f}" for v in r[key]) for key in ("size_true", "size"))
         masses = f"{r['mass_true']:.2g} -> {r['mass']:.2g}"
         place = f"{r['name']:<10}{r['recovered']:<16}{r['position'] * 1000:>6.1f} mm"
         lines.append(f"{place}  {sizes:<36}{masses:<16}{r['f1']:>6.2f}")
     return "\n".join(lines)
-
-
-def _cm(size: list[float]) -> str:
-    return " ".join(f"{100 * v:.1f}" for v in size)

@@ -10,32 +10,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.options import NEW_FILE
-from simfoundry.cli.output import (
-    CANNOT,
-    DONE,
-    FINDINGS,
-    CannotError,
-    plural,
-    print_document,
-    print_findings,
-    print_json,
-    protect_output,
-    subcommand,
-    write_in_place,
-    write_text,
-)
+from simfoundry.cli import output
+from simfoundry.cli.options import NEW_FILE, option
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.compare import DocumentComparison
-    from simfoundry.spec.change.git.arguments import HistoryEntry
     from simfoundry.spec.change.merge.texts import MergedText
 
 
-@subcommand(as_json=False, force=True)
+@output.subcommand(as_json=False, force=True)
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
-@click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
+@option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text")
 @click.option("-o", "--out", type=NEW_FILE, help="Write the HTML page to this file.")
 @click.option("--exit-code", is_flag=True, help="Exit with code 1 if there are differences.")
 @click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
@@ -57,30 +44,30 @@ def diff_command(
     if driver:
         for line in driver_lines(what, Path.cwd()):
             click.echo(printable(line))
-        return DONE
+        return output.DONE
 
     if (form == "html") != (out is not None):
-        raise CannotError("an HTML page requires an output file; use `--format html` and `-o PAGE.html` together")
-    protect_output(out, map(Path, what), force)
+        raise SimfoundryError("an HTML page requires an output file; use `--format html` and `-o PAGE.html` together")
+    output.protect_output(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
         if out is not None:
             from simfoundry.reports.comparison import page
 
-            write_text(out, page(found))
+            output.write_text(out, page(found))
     if form == "json":
-        print_json({"documents": [plain(c) for c in found]})
+        output.print_json({"documents": [_plain(c) for c in found]})
     elif form == "text":
         _print_comparisons(found)
     else:
-        click.echo(f"{out}  ({len(found)} document{'s' if len(found) != 1 else ''})")
+        click.echo(f"{out}  ({output.plural(len(found), 'document')})")
     findings = [d for c in found for d in c.findings]
     if findings and form != "json":
         texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
         click.echo(render(findings, texts=texts), err=True)
     if any(c.obstacle for c in found):
-        return CANNOT
-    return FINDINGS if exit_code and any(c.differs for c in found) else DONE
+        return output.CANNOT
+    return output.FINDINGS if exit_code and any(c.differs for c in found) else output.DONE
 
 
 def _print_comparisons(found: list[DocumentComparison]) -> None:
@@ -93,7 +80,7 @@ def _print_comparisons(found: list[DocumentComparison]) -> None:
         click.echo("no document differs")
 
 
-def plain(comparison: DocumentComparison) -> dict[str, Any]:
+def _plain(comparison: DocumentComparison) -> dict[str, Any]:
     """Return the changes as plain data."""
     from dataclasses import asdict
 
@@ -112,7 +99,7 @@ def plain(comparison: DocumentComparison) -> dict[str, Any]:
     }
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
 @click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
 @click.option("-v", "--verbose", is_flag=True, help="Also show differences without effect, such as a different order.")
@@ -125,32 +112,26 @@ def log_command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_
     from simfoundry.spec.change.git.arguments import document_history
 
     steps = islice(document_history(what, verbose), max_count)
-    if as_json:
-        print_json({"commits": [_plain_commit(step) for step in steps]})
-        return
-    about = None
+    commits = []
     for step in steps:
-        about = step.commit
-        click.echo(printable(f"{about.id[:10]} {about.date[:10]} {about.author}: {about.subject}"))
-        for line in step.comparison.lines():
-            click.echo(f"  {printable(line)}")
-    if about is None:
-        raise CannotError(f"no commit in this history changes {what[-1]}")
+        commit = step.commit
+        head = {"commit": commit.id, "date": commit.date, "author": commit.author, "subject": commit.subject}
+        commits.append(head | _plain(step.comparison) if as_json else head)
+        if not as_json:
+            click.echo(printable(f"{commit.id[:10]} {commit.date[:10]} {commit.author}: {commit.subject}"))
+            for line in step.comparison.lines():
+                click.echo(f"  {printable(line)}")
+    if as_json:
+        output.print_json({"commits": commits})
+    elif not commits:
+        raise SimfoundryError(f"no commit in this history changes {what[-1]}")
 
 
-def _plain_commit(step: HistoryEntry) -> dict[str, Any]:
-    about = step.commit
-    head = {"commit": about.id, "date": about.date, "author": about.author, "subject": about.subject}
-    return {**head, **plain(step.comparison)}
-
-
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
-@click.option(
-    "--resolve", "side", type=click.Choice(["ours", "theirs"]),
-    help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...",
-)  # fmt: skip
+@click.option("--resolve", "side", type=click.Choice(["ours", "theirs"]),
+              help="Resolve conflicts in favor of one side: --resolve ours FILE [PATH]...")  # fmt: skip
 @click.option("--git", "driver", is_flag=True, help="Act as git's merge driver: --git %O %A %B %L %P.")
 def merge_command(
     args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, force: bool,
@@ -169,35 +150,33 @@ def merge_command(
     if side is not None:
         return _resolve(side, args, out, force, as_json)
     if len(args) != 3:
-        raise CannotError("pass three files: the common base, ours and theirs")
+        raise SimfoundryError("pass three files: the common base, ours and theirs")
     from simfoundry.spec.change.merge.conflict import dotted
     from simfoundry.spec.change.merge.texts import merge_texts, new_errors
 
     files = [Path(file) for file in args]
-    protect_output(out, files, force)
+    output.protect_output(out, files, force)
     texts = [_text(path) for path in files]
     merged = merge_texts(*texts)
     changed = out or files[1]
     errors = new_errors(changed, merged.text, *texts[1:])
     if out is not None:
-        write_in_place(out, merged.text)
+        output.write_in_place(out, merged.text)
     if as_json:
         conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
         findings = [d.to_json() for d in errors]
-        print_json({"out": out and str(out), "conflicts": conflicts, "findings": findings, "text": merged.text})
+        output.print_json({"out": out and str(out), "conflicts": conflicts, "findings": findings, "text": merged.text})
+    elif out is None:
+        output.print_document(merged.text)
     else:
-        if out is None:
-            print_document(merged.text)
-        else:
-            click.echo(f"wrote {out}: {plural(len(merged.conflicts), 'conflict')}")
-        _print_merge(merged, errors, changed)
-    return FINDINGS if merged.conflicts or errors else DONE
+        click.echo(f"wrote {out}: {output.plural(len(merged.conflicts), 'conflict')}")
+    return _report_merge(merged, errors, changed, as_json)
 
 
 def _drive_merge(args: Sequence[str]) -> int:
     """Merge into the second file in place, as git expects; files that are not documents are merged line by line."""
     if len(args) != 5:
-        raise CannotError(
+        raise SimfoundryError(
             f"git must pass 5 arguments to its merge driver, not {len(args)}; `simfoundry git install` sets it up"
         )
     base, ours, theirs = map(Path, args[:3])
@@ -208,15 +187,14 @@ def _drive_merge(args: Sequence[str]) -> int:
         texts = [path.read_bytes().decode("utf-8") for path in (base, ours, theirs)]
         merged = merge_texts(*texts)
         errors = new_errors(Path(name), merged.text, *texts[1:])
-        write_in_place(ours, merged.text)
+        output.write_in_place(ours, merged.text)
     except Exception as error:  # on any failure, fall back to what git alone would have done
         reason = str(error) or type(error).__name__
         click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
         return _by_lines(args)
     if merged.conflicts or errors:
-        click.echo(printable(f"{name}: {plural(len(merged.conflicts), 'conflict')}"), err=True)
-        _print_merge(merged, errors, Path(name))
-    return FINDINGS if merged.conflicts or errors else DONE
+        click.echo(printable(f"{name}: {output.plural(len(merged.conflicts), 'conflict')}"), err=True)
+    return _report_merge(merged, errors, Path(name))
 
 
 def _by_lines(args: Sequence[str]) -> int:
@@ -225,7 +203,7 @@ def _by_lines(args: Sequence[str]) -> int:
     labels = [word for name in ("ours", "base", "theirs") for word in ("-L", name)]
     size_option = [f"--marker-size={size}"] if size.isdigit() and int(size) > 0 else []
     done = subprocess.run(["git", "merge-file", *labels, *size_option, "--", ours, base, theirs], check=False)
-    return FINDINGS if done.returncode else DONE
+    return output.FINDINGS if done.returncode else output.DONE
 
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
@@ -238,10 +216,10 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     from simfoundry.spec.yaml.write import write_tree
 
     if not args:
-        raise CannotError("pass the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
+        raise SimfoundryError("pass the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
     file = Path(args[0])
     if out is not None and out.resolve() != file.resolve():  # resolving in place may overwrite the file
-        protect_output(out, force=force)
+        output.protect_output(out, force=force)
     try:
         document = read(file)
     except YamlError as error:
@@ -250,32 +228,33 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     model = model_of(kind) if kind in KINDS else None
     tree, decided = resolve(read_tree(document), model, side, args[1:])
     text = write_tree(tree, model)
-    write_in_place(out or file, text)
+    output.write_in_place(out or file, text)
     findings = load(out or file).all_findings()
     if as_json:
-        left = tree.data.get("conflicts", {})
-        findings_ = [d.to_json() for d in findings]
-        print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
+        facts = {"out": str(out or file), "decided": decided, "left": list(tree.data.get("conflicts", {}))}
+        output.print_json(facts | {"findings": [d.to_json() for d in findings]})
     else:
         for key in decided:
             click.echo(printable(f"{key}: took {side}"))
-        print_findings(findings)
-    return FINDINGS if any(d.severity == "error" for d in findings) else DONE
+        output.print_findings(findings)
+    return output.FINDINGS if any(d.severity == "error" for d in findings) else output.DONE
 
 
 def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
-        raise CannotError(f"{path} is not UTF-8 text") from None
+        raise SimfoundryError(f"{path} could not be decoded as UTF-8") from None
 
 
-def _print_merge(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
-    """Print each conflict on a separate line, followed by the errors and the next step."""
-    for conflict in merged.conflicts:
-        click.echo(printable(str(conflict)), err=True)
-    if errors:
-        click.echo(render(errors, texts={str(name): merged.text}), err=True)
-    if merged.conflicts:
-        choose = f"or choose a side: simfoundry merge --resolve ours {name}"
-        click.echo(printable(f"edit {name} and remove its `conflicts`, {choose}"), err=True)
+def _report_merge(merged: MergedText, errors: list[Diagnostic], name: Path, quiet: bool = False) -> int:
+    """Print the conflicts, the errors and the next step unless ``quiet`` is set, and return the exit code."""
+    if not quiet:
+        for conflict in merged.conflicts:
+            click.echo(printable(str(conflict)), err=True)
+        if errors:
+            click.echo(render(errors, texts={str(name): merged.text}), err=True)
+        if merged.conflicts:
+            choose = f"or choose a side: simfoundry merge --resolve ours {name}"
+            click.echo(printable(f"edit {name} and remove its `conflicts`, {choose}"), err=True)
+    return output.FINDINGS if merged.conflicts or errors else output.DONE

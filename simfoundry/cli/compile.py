@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.options import ANY, NEW_FOLDER
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar, subcommand
+from simfoundry.cli import output
+from simfoundry.cli.options import ANY, NEW_FOLDER, option
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.targets.batch import CompileJob, CompileOutcome
@@ -24,24 +25,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
+# Maximum number of characters in the text beside the progress bar; longer texts lose their beginning.
+LONGEST_TEXT = 60
 
-@subcommand()
+
+@output.subcommand()
 @click.argument("scenes", nargs=-1, required=True, type=ANY)
-@click.option(
-    "-t", "--target", "targets", multiple=True,
-    help="Format, simulator, or target folder to compile for; may be repeated. Default: all formats.",
-)  # fmt: skip
-@click.option(
-    "-o", "--out", type=NEW_FOLDER, default=Path("build"), show_default=True,
-    help="Output folder, with one folder per target; with several scenes, one folder per scene.",
-)  # fmt: skip
-@click.option(
-    "-j", "--jobs", type=click.IntRange(1), help="Number of scenes to compile in parallel. Default: one per core."
-)
+@click.option("-t", "--target", "targets", multiple=True,
+              help="Format, simulator, or target folder to compile for; may be repeated. "
+                   "Default: all formats.")  # fmt: skip
+@option("-o", "--out", type=NEW_FOLDER, default=Path("build"),
+        help="Output folder, with one folder per target; with several scenes, one folder per scene.")  # fmt: skip
+@click.option("-j", "--jobs", type=click.IntRange(1),
+              help="Number of scenes to compile in parallel. Default: one per core.")  # fmt: skip
 @click.option("--strict", is_flag=True, help="Exit with code 1 if a target cannot represent everything.")
-@click.option(
-    "--force", is_flag=True, help="Recompile scenes that are up to date, and replace folders that contain other files."
-)
+@click.option("--force", is_flag=True,
+              help="Recompile scenes that are up to date, and replace folders that contain other files.")  # fmt: skip
 def compile_command(
     scenes: tuple[Path, ...], targets: tuple[str, ...], out: Path, jobs: int | None, strict: bool, force: bool,
     as_json: bool,
@@ -54,9 +53,10 @@ def compile_command(
     If a target or a scene fails, the failure is reported, the others are still compiled, and the exit code is 1. If no
     target of a single scene can be compiled, the exit code is 2.
     """
+    targets = targets or TARGETS
     if len(scenes) > 1 or scenes[0].is_dir():
-        return compile_many(scenes, targets or TARGETS, out, jobs, strict, force, as_json)
-    return _compile_one(scenes[0], targets or TARGETS, out, strict, force, as_json)
+        return _compile_many(scenes, targets, out, jobs, strict, force, as_json)
+    return _compile_one(scenes[0], targets, out, strict, force, as_json)
 
 
 def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
@@ -64,43 +64,37 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
     from simfoundry.scene.lower import lower_file
     from simfoundry.targets.build import LOSSES, TargetsError, build, report, table
 
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
         failures: Mapping[str, str] = {}
         try:
             artifacts = build(lowered, targets, out, force)
         except TargetsError as error:
             artifacts, failures = error.artifacts, error.failures
+    errors = [f"{target} is not written: {reason}" for target, reason in failures.items()]
     if not artifacts:
-        raise CannotError("\n".join(_failed(failures)))
+        raise SimfoundryError("\n".join(errors))
     losses = report(lowered, artifacts)
     lossy = any(artifact.losses for artifact in artifacts)
+    entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
     if as_json:
-        entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
         failed = {"failed": failures} if failures else {}
-        print_json({"out": str(out), "targets": entries, "losses": losses, **failed})
-        return FINDINGS if failures or (strict and lossy) else DONE
-    width = max(len(artifact.target) for artifact in artifacts)
-    for artifact in artifacts:
-        click.echo(f"{artifact.target:<{width}}  {out / artifact.target / artifact.entry}")
-        for line in dropped(losses[artifact.target]["losses"]):
-            click.echo(f"{'':<{width}}  {line}")
-    click.echo()
-    for line in table(losses):
-        click.echo(line)
-    if lossy:
-        click.echo(f"reasons and amounts: {out / LOSSES}")
-    for line in _failed(failures):
-        click.echo(f"Error: {line}", err=True)
-    return FINDINGS if failures or (strict and lossy) else DONE
+        output.print_json({"out": str(out), "targets": entries, "losses": losses, **failed})
+    else:
+        width = max(map(len, entries))
+        for target, entry in entries.items():
+            click.echo(f"{target:<{width}}  {entry}")
+            for line in _dropped(losses[target]["losses"]):
+                click.echo(f"{'':<{width}}  {line}")
+        click.echo("\n" + "\n".join(table(losses)))
+        if lossy:
+            click.echo(f"reasons and amounts: {out / LOSSES}")
+        for line in errors:
+            click.echo(f"Error: {line}", err=True)
+    return output.FINDINGS if failures or (strict and lossy) else output.DONE
 
 
-def _failed(failures: Mapping[str, str]) -> list[str]:
-    """Return one line for each target that could not be compiled."""
-    return [f"{target} is not written: {reason}" for target, reason in failures.items()]
-
-
-def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
+def _dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
     """Return one line for each reason why elements were dropped.
 
     Example: ``gravity is not written: URDF has no world settings``.
@@ -117,7 +111,7 @@ def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
     return lines
 
 
-def compile_many(
+def _compile_many(
     paths: Sequence[Path], targets: tuple[str, ...], out: Path, workers: int | None, strict: bool, force: bool,
     as_json: bool,
 ) -> int:  # fmt: skip
@@ -129,31 +123,36 @@ def compile_many(
         find_target(name)  # report a misspelled target once, not once per scene
     jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
     _ensure_apart(jobs, paths)
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         if len(jobs) == 1:
             outcomes = [compile_job(jobs[0])]
         else:
             cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-            outcomes = compile_all(jobs, workers or cores, lambda said, done: progress(_short(said), done / len(jobs)))
+
+            def report(activity: str, done: int) -> None:
+                text = activity if len(activity) <= LONGEST_TEXT else f"…{activity[1 - LONGEST_TEXT :]}"
+                progress(text, done / len(jobs))
+
+            outcomes = compile_all(jobs, workers or cores, report)
     found = Counter(outcome.state for outcome in outcomes)
-    counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
     if as_json:
-        print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
+        counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
+        output.print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
     else:
         _print(outcomes, found)
     lossy = any(any(outcome.losses.values()) for outcome in outcomes)
-    return FINDINGS if found[FAILED] or (strict and lossy) else DONE
+    return output.FINDINGS if found[FAILED] or (strict and lossy) else output.DONE
 
 
 def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
-    """Raise :class:`CannotError` if there are no scenes, or if two scenes would share an output folder."""
+    """Raise :class:`SimfoundryError` if there are no scenes, or if two scenes would share an output folder."""
     if not jobs:
-        raise CannotError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
+        raise SimfoundryError(f"could not find any *.scene.yaml file below {', '.join(map(str, paths))}")
     taken: dict[Path, Path] = {}
     for job in jobs:
         other = taken.setdefault(job.out, job.scene)
         if other != job.scene:
-            raise CannotError(
+            raise SimfoundryError(
                 f"{other} and {job.scene} would both be written to {job.out}; pass a folder that contains both"
             )
 
@@ -168,11 +167,7 @@ def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
         more = "" if outcome.state == FAILED else f"  {outcome.out}" + (f"  (lost: {lost})" if lost else "")
         click.echo(f"{outcome.scene:<{width}}  {outcome.state:<{len(CURRENT)}}{more}".rstrip())
     for outcome in outcomes:
-        print_findings(list(outcome.findings))
+        output.print_findings(list(outcome.findings))
         if outcome.error:
             click.echo(f"{outcome.scene}: {outcome.error}", err=True)
     click.echo(", ".join(f"{found[state]} {state}" for state in (COMPILED, CURRENT, FAILED) if found[state]))
-
-
-def _short(text: str, most: int = 60) -> str:
-    return text if len(text) <= most else f"…{text[-most + 1 :]}"

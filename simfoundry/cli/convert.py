@@ -9,20 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.api.scenes import is_compiled_stage
+from simfoundry.cli import output
 from simfoundry.cli.options import ANY, FILE, NEW_FILE, pairs
-from simfoundry.cli.output import (
-    CANNOT,
-    DONE,
-    FINDINGS,
-    CannotError,
-    plural,
-    print_document,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import SpecError
 
@@ -37,33 +25,21 @@ HEADINGS = {
 }
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path),
     help="Output document (NAME.scene.yaml or NAME.asset.yaml) or folder. Default: named after the input file.",
 )  # fmt: skip
-@click.option(
-    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="Folder in which to resolve `package://NAME/…`; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--scene", type=FILE,
-    help="Scene for the imported task.",
-)  # fmt: skip
-@click.option(
-    "--onto", type=FILE,
-    help="Apply the edits made to a compiled stage to this document, keeping its comments.",
-)  # fmt: skip
-@click.option(
-    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
-    help="Bind a name in a BDDL task to an object in --scene; may be repeated.",
-)  # fmt: skip
-@click.option(
-    "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-    help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
-    "Default: 1000, as in simulators.",
-)  # fmt: skip
+@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
+              help="Folder in which to resolve `package://NAME/…`; may be repeated.")  # fmt: skip
+@click.option("--scene", type=FILE, help="Scene for the imported task.")
+@click.option("--onto", type=FILE, help="Apply the edits to a compiled stage to this document, keeping its comments.")
+@click.option("--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
+              help="Bind a name in a BDDL task to an object in --scene; may be repeated.")  # fmt: skip
+@click.option("--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
+              help="Density of links and bodies without a mass: wood 600, plastics 1100, steel 7800. "
+                   "Default: 1000, as in simulators.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out, changed or assumed.")
 def import_command(
@@ -83,24 +59,21 @@ def import_command(
 
     if onto is not None or (len(files) == 1 and is_compiled_stage(files[0])):
         if len(files) > 1:
-            raise CannotError("--onto accepts only one stage")
+            raise SimfoundryError("--onto accepts only one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
     for name, path in packages.items():
         if not Path(path).is_dir():
-            raise CannotError(f"--package {name}={path}: `{path}` is not a folder")
+            raise SimfoundryError(f"--package {name}={path}: `{path}` is not a folder")
     folders = {name: Path(path) for name, path in packages.items()}
     options = ImportOptions(folders, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
-        with progress_bar(as_json) as progress:
+        with output.progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
             report = import_file(files[0], out or Path(_default_name(files[0])), options)
-        if as_json:
-            print_json(report.to_json())
-        else:
-            click.echo(_described(report))
-        return FINDINGS if strict and report.notes else DONE
+        output.print_result(as_json, report.to_json(), _described(report))
+        return output.FINDINGS if strict and report.notes else output.DONE
     if out is None or out.name.endswith(".yaml"):
-        raise CannotError("importing several files requires an output folder; pass `-o FOLDER`")
+        raise SimfoundryError("importing several files requires an output folder; pass `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
 
 
@@ -110,17 +83,19 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     before = out.read_bytes() if out.is_file() else None
     imported = import_stage(path, out, onto, force)
     changed = before != out.read_bytes()
-    notes = [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes]
-    if as_json:
-        report = {"source": str(path), "out": str(out), "changed": changed}
-        print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
-    else:
-        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "no changes"))
-        for note in imported.notes:
-            click.echo(f"  not applied: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
-        for disputed in imported.disputed:
-            click.echo(f"  edited in both the stage and the document: {disputed}; the values in the stage were kept")
-    return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
+    report = {
+        "source": str(path),
+        "out": str(out),
+        "changed": changed,
+        "notes": [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes],
+        "disputed": list(imported.disputed),
+    }
+    lines = [f"{out}  from the stage {path}: " + ("written" if changed else "no changes")]
+    lines += [f"  not applied: {n.prim}: {n.message}" + (f"; {n.hint}" if n.hint else "") for n in imported.notes]
+    edited = "edited in both the stage and the document"
+    lines += [f"  {edited}: {disputed}; the values in the stage were kept" for disputed in imported.disputed]
+    output.print_result(as_json, report, "\n".join(lines))
+    return output.FINDINGS if strict and (imported.notes or imported.disputed) else output.DONE
 
 
 def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
@@ -128,23 +103,19 @@ def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, stri
 
     jobs = list(_jobs(files, out))
     if not jobs:
-        raise CannotError(
+        raise SimfoundryError(
             f"could not find any file to import below {', '.join(map(str, files))}; "
             f"supported extensions: {', '.join(model_suffixes())}"
         )
     reports = []
-    with progress_bar(as_json) as progress:
+    with output.progress_bar(as_json) as progress:
         for done, (source, target) in enumerate(jobs):
             progress(source.name, done / len(jobs))
             reports.append(_import_one(source, target, options))
-    refused = [report for report in reports if report.error]
-    if as_json:
-        print_json({"files": [report.to_json() for report in reports]})
-    else:
-        click.echo(_table(reports))
-    if refused:
-        return CANNOT
-    return FINDINGS if strict and any(report.notes for report in reports) else DONE
+    output.print_result(as_json, {"files": [report.to_json() for report in reports]}, _table(reports))
+    if any(report.error for report in reports):
+        return output.CANNOT
+    return output.FINDINGS if strict and any(report.notes for report in reports) else output.DONE
 
 
 def _import_one(source: Path, target: Path, options: ImportOptions) -> ImportReport:
@@ -192,16 +163,13 @@ def _default_name(path: Path) -> str:
     from simfoundry.frontends.importer import ASSET, SCENE, TASK
     from simfoundry.frontends.registry import task_readers
 
-    if path.suffix.lower() in task_readers():
-        return f"{path.stem}{TASK}"
-    return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
+    kind = path.suffix.lower()
+    return path.stem + (TASK if kind in task_readers() else ASSET if kind == ".urdf" else SCENE)
 
 
 def _described(report: ImportReport) -> str:
     """Return a description of the imported document and of each difference from the file."""
-    lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
-    lines += [f"{document}" for document in report.more]
-    lines += _warned_of_masses(report)
+    lines = [f"{report.out}  from {report.format}: {_counts(report)}", *report.more, *_warned_of_masses(report)]
     for kind, heading in HEADINGS.items():
         notes = [note for note in report.notes if note.kind == kind]
         if not notes:
@@ -210,7 +178,7 @@ def _described(report: ImportReport) -> str:
         reasons: dict[str, list[str]] = {}
         for note in notes:
             reasons.setdefault(note.why, []).append(f"{note.what} ({note.detail})" if note.detail else note.what)
-        lines += [f"  {_listed(things)}: {why}" for why, things in reasons.items()]
+        lines += [f"  {_listed(elements)}: {why}" for why, elements in reasons.items()]
     if report.names:
         shown = [f"{old} -> {new}" for old, new in report.names]
         lines.append(f"{len(shown)} name{'s' if len(shown) > 1 else ''} changed: {_listed(shown)}")
@@ -231,15 +199,17 @@ def _warned_of_masses(report: ImportReport) -> list[str]:
     ]
 
 
-def _listed(things: list[str], most: int = 4) -> str:
-    more = f" and {len(things) - most} more" if len(things) > most else ""
-    return ", ".join(things[:most]) + more
+def _listed(names: list[str], most: int = 4) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _counts(report: ImportReport) -> str:
-    words = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
-    found = [(getattr(report, several), several, single) for several, single in (words | {"meshes": "mesh"}).items()]
-    return ", ".join(f"{n} {single if n == 1 else several}" for n, several, single in found if n)
+    singulars = {"bodies": "body", "links": "link", "joints": "joint", "cameras": "camera", "lights": "light"}
+    counts = {
+        (singular, plural): getattr(report, plural) for plural, singular in (singulars | {"meshes": "mesh"}).items()
+    }
+    return ", ".join(f"{count} {names[count > 1]}" for names, count in counts.items() if count)
 
 
 def _table(reports: list[ImportReport]) -> str:
@@ -250,7 +220,7 @@ def _table(reports: list[ImportReport]) -> str:
         if report.error:
             lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
         else:
-            notes = f"; {plural(len(report.notes), 'difference')} from the file" if report.notes else ""
+            notes = f"; {output.plural(len(report.notes), 'difference')} from the file" if report.notes else ""
             lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
             lines += [f"  {line}" for line in _warned_of_masses(report)]
     refused = sum(bool(report.error) for report in reports)
@@ -258,12 +228,11 @@ def _table(reports: list[ImportReport]) -> str:
     return "\n".join(lines)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("task", type=FILE)
-@click.option(
-    "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
-    help="Output format: BDDL for LIBERO or BEHAVIOR, or the task YAML used in the paper's release.",
-)  # fmt: skip
+@click.option("-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
+              help="Output format: BDDL for LIBERO or BEHAVIOR, or the task YAML used in the paper's "
+                   "release.")  # fmt: skip
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file. Default: standard output.")
 @click.option("--strict", is_flag=True, help="Exit with code 1 if something was left out or assumed.")
 def export_command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
@@ -281,17 +250,16 @@ def export_command(task: Path, format_: str, out: Path | None, force: bool, stri
     loaded = load_kind(task, "task/1")
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)
-    protect_output(out, [task, *loaded.files()], force)
+    output.protect_output(out, [task, *loaded.files()], force)
     if as_json and out is None:
-        raise CannotError("--json requires an output file; specify one with `-o FILE`")
+        raise SimfoundryError("--json requires an output file; specify one with `-o FILE`")
     export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
-        print_document(export.text)
+        output.print_document(export.text)
     else:
-        write_text(out, export.text)
+        output.write_text(out, export.text)
     if as_json:
-        print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
-    else:
-        for note in export.notes:
-            click.echo(f"differs from the task: {note}", err=True)
-    return FINDINGS if strict and export.notes else DONE
+        output.print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
+    for note in export.notes if not as_json else ():
+        click.echo(f"differs from the task: {note}", err=True)
+    return output.FINDINGS if strict and export.notes else output.DONE

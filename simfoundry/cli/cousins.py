@@ -2,51 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, WorldName, resumable, scene_argument
+from simfoundry.cli import output
+from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, WorldName, option, resumable, scene_argument
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    choose_camera,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-)
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.document import Recipe
     from simfoundry.cousins.run.run import Ledger, RunPlan
     from simfoundry.cousins.tasks.context import TaskContext
-    from simfoundry.cousins.tasks.enumeration import Proposal
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("recipe", type=FILE)
-@click.option(
-    "-n", "--count", type=click.IntRange(1, 1_000_000),
-    help="Number of cousins to make. Default: the count in the recipe.",
-)  # fmt: skip
-@click.option(
-    "-o", "--out", type=NEW_FOLDER,
-    help="Output folder, inside the twin's project. Default: build/NAME.",
-)  # fmt: skip
+@click.option("-n", "--count", type=click.IntRange(1, 1_000_000),
+              help="Number of cousins to make. Default: the count in the recipe.")  # fmt: skip
+@click.option("-o", "--out", type=NEW_FOLDER, help="Output folder, inside the twin's project. Default: build/NAME.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Number of parallel processes. Default: one per core.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Random seed, which overrides the seed in the recipe.")
 @click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
-@click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
-@click.option(
-    "--gallery", type=click.IntRange(0, 1000), default=24, show_default=True,
-    help="Number of images on the gallery page.",
-)  # fmt: skip
+@option("--on", "where", type=click.Choice(["local", "ray"]), default="local")
+@option("--gallery", type=click.IntRange(0, 1000), default=24, help="Number of images on the gallery page.")
 @click.option("--no-gallery", is_flag=True, help="Do not write the gallery page.")
 @click.option("--vlm", default="", metavar="MODEL", help="Model to use for recipes that require one.")
 @click.option("--stage", type=NEW_FILE, help="Also write a USD stage with all cousins as variants.")
@@ -67,14 +49,15 @@ def cousins_command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.variant_pool import ASSETS, counts
     from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
-    from simfoundry.cousins.run.report import told
-    from simfoundry.cousins.run.run import RunPlan, begin, run
+    from simfoundry.cousins.run.report import told, write_manifest, write_stage
+    from simfoundry.cousins.run.run import RunPlan, begin, finish, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
+    from simfoundry.reports.gallery import write_gallery
 
-    protect_output(stage, [recipe], force)
+    output.protect_output(stage, [recipe], force)
     read, folder = _read(recipe, seed, out)
     setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
-    with progress_bar(as_json) as progress, resumable(folder):
+    with output.progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
             plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
@@ -83,19 +66,24 @@ def cousins_command(
             sampler.require_possible()
         except ImpossibleError as error:
             if as_json:
-                print_json({"end": "impossible", "accepted": 0, "reasons": [r.to_json() for r in error.reasons]})
+                output.print_json({"end": "impossible", "accepted": 0, "reasons": [r.to_json() for r in error.reasons]})
             for reason in error.reasons if not as_json else ():
                 click.echo(f"impossible: {reason.text}", err=True)
-            return FINDINGS
+            return output.FINDINGS
         made = counts(read.spec.object, folder / ASSETS / "objects")
         plan = replace(plan, most=sampler.pool.most, variants=made)
 
-        def heard(ledger: Ledger) -> None:
+        def report(ledger: Ledger) -> None:
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
 
-        ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
+        ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), report)
         if shard is None:
-            _write_outputs(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
+            write_manifest(plan, ledger)
+            if gallery and not no_gallery:
+                write_gallery(plan, ledger, gallery, lambda done, of: progress("pictures", done / of))
+            if stage is not None:
+                write_stage(plan, ledger, read, stage)
+            finish(plan, ledger)
     return _report_run(plan, ledger, read.remarks, as_json)
 
 
@@ -112,38 +100,19 @@ def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Pat
     return read, folder
 
 
-def _write_outputs(
-    plan: RunPlan, ledger: Ledger, recipe: Recipe, pictures: int, stage: Path | None,
-    progress: Callable[[str, float], None],
-) -> None:  # fmt: skip
-    """Write all outputs except the cousins, which have already been written, and then delete the logs."""
-    from simfoundry.cousins.run.report import write_manifest, write_stage
-    from simfoundry.cousins.run.run import finish
-    from simfoundry.reports.gallery import write_gallery
-
-    write_manifest(plan, ledger)
-    if pictures:
-        write_gallery(plan, ledger, pictures, lambda done, of: progress("pictures", done / of))
-    if stage is not None:
-        write_stage(plan, ledger, recipe, stage)
-    finish(plan, ledger)
-
-
 def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.run.report import examples, summary
     from simfoundry.cousins.run.run import LEAST_RATE, MANIFEST, PATIENCE
 
     facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
-    end = FINDINGS if short or any(count.is_short for count in plan.variants) else DONE
+    end = output.FINDINGS if short or any(count.is_short for count in plan.variants) else output.DONE
     if as_json:
-        print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
+        output.print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
         return end
     share = "" if plan.shard is None else f" of shard {plan.shard[0]}/{plan.shard[1]}"
-    click.echo(
-        f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}; {ledger.examined} candidates examined, "
-        f"{ledger.rate:.1%} accepted"
-    )
+    accepted = f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}"
+    click.echo(f"{accepted}; {ledger.examined} candidates examined, {ledger.rate:.1%} accepted")
     for count in plan.variants:
         click.echo(f"{count}", err=count.is_short)
     for code, text in examples(ledger).items():
@@ -165,28 +134,20 @@ def _report_run(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json
     return end
 
 
-@subcommand()
+@output.subcommand()
 @scene_argument
-@click.option(
-    "-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="Number of tasks to propose."
-)
+@option("-n", "count", type=click.IntRange(1, 1000), default=20, help="Number of tasks to propose.")
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write the task documents into this folder.")
-@click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed for the order of the proposals."
-)
-@click.option(
-    "--about", multiple=True, metavar="OBJECT", help="Propose only tasks that involve this object; may be repeated."
-)
-@click.option(
-    "--payload", type=click.FloatRange(0, min_open=True),
-    help="Payload of the robot [kg]. Default: the known payload of the model.",
-)  # fmt: skip
-@click.option(
-    "--vlm", metavar="MODEL", help="Ask this model, such as `openai:gpt-5`, instead of enumerating affordances."
-)
+@option("--seed", type=click.IntRange(0), default=0, help="Seed for the order of the proposals.")
+@click.option("--about", multiple=True, metavar="OBJECT",
+              help="Propose only tasks that involve this object; may be repeated.")  # fmt: skip
+@click.option("--payload", type=click.FloatRange(0, min_open=True),
+              help="Payload of the robot [kg]. Default: the known payload of the model.")  # fmt: skip
+@click.option("--vlm", metavar="MODEL",
+              help="Ask this model, such as `openai:gpt-5`, instead of enumerating affordances.")  # fmt: skip
 @click.option("--base-url", metavar="URL", help="Address of a server with an OpenAI-compatible API.")
-@click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
-              help="Format of the model's response: typed, or the text format used in the paper.")  # fmt: skip
+@option("--form", type=click.Choice(["typed", "paper"]), default="typed",
+        help="Format of the model's response: typed, or the text format used in the paper.")  # fmt: skip
 @click.option("-c", "--camera", help="Camera whose image is sent to the model. Default: the scene's first.")
 @click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
               help="Engine that checks whether reached goals persist; may be repeated. Default: MuJoCo.")  # fmt: skip
@@ -209,37 +170,46 @@ def propose_command(
     from simfoundry.spec.diagnostics import nearest
 
     folder = out or scene.parent
-    setting = TaskContext.load(scene, Cache.default(), payload, engines)
-    names = [o.name for o in setting.twin.scene.objects]
+    context = TaskContext.load(scene, Cache.default(), payload, engines)
+    names = [o.name for o in context.twin.scene.objects]
     for name in about:
         if name not in names:
-            raise CannotError(f"no object is called `{name}`; {nearest(name, names)}")
+            raise SimfoundryError(f"no object is called `{name}`; {nearest(name, names)}")
     reference = scene_reference(scene, folder)
     if vlm is not None:
         from simfoundry.cousins.tasks.proposals import propose_tasks
         from simfoundry.models.vlm import Vlm
 
         model: Any = Vlm(vlm, base_url)
-        found = propose_tasks(model, setting, _picture(setting, scene, camera), count, form, reference, about)
+        found = propose_tasks(model, context, _picture(context, scene, camera), count, form, reference, about)
     else:
-        with progress_bar(as_json) as bar:
-            found = enumerate_tasks(
-                setting, count, seed, reference, about, progress=lambda n, seen: bar(f"{seen} tried", n / count)
-            )
+        with output.progress_bar(as_json) as bar:
+
+            def report(accepted: int, tried: int) -> None:
+                bar(f"{tried} tried", accepted / count)
+
+            found = enumerate_tasks(context, count, seed, reference, about, progress=report)
     found = checked(found, folder)
     accepted = [proposal for proposal in found if proposal.accepted]
     files = write(found, out) if out is not None else []
     if as_json:
-        print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
+        output.print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
     else:
-        _print_proposals(found, accepted, rejected)
+        shown = found if rejected else accepted
+        width = max((len(p.name) for p in shown), default=0)
+        for proposal in shown:
+            instruction = proposal.task.instruction if proposal.task is not None else proposal.goal
+            mark = "+" if proposal.accepted else "-"
+            click.echo(f"{mark} {proposal.name:<{width}}  {proposal.goal}  {instruction}")
+            for reason in proposal.reasons:
+                click.echo(f"    {reason.code}: {reason.text}")
         click.echo(f"{len(accepted)} tasks, {len(found) - len(accepted)} not accepted")
         if files:
             click.echo(f"wrote {len(files)} documents to {out}")
-    return DONE if len(accepted) >= min(count, len(found)) and accepted else FINDINGS
+    return output.DONE if len(accepted) >= min(count, len(found)) and accepted else output.FINDINGS
 
 
-def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
+def _picture(context: TaskContext, scene: Path, name: str | None) -> bytes:
     """Render the scene from a camera and return the image as PNG data."""
     from simfoundry.render.montage import png_bytes
     from simfoundry.spec.load import load_scene
@@ -248,15 +218,5 @@ def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
 
     spec = load_scene(scene).spec
     assert isinstance(spec, SceneSpec)
-    camera = choose_camera(setting.twin.scene, spec, name)
-    return png_bytes(render(setting.twin.scene, camera, engine=choose_engine("auto")))
-
-
-def _print_proposals(found: list[Proposal], accepted: list[Proposal], rejected: bool) -> None:
-    shown = found if rejected else accepted
-    wide = max((len(p.name) for p in shown), default=0)
-    for proposal in shown:
-        said = proposal.task.instruction if proposal.task is not None else proposal.goal
-        click.echo(f"{'+' if proposal.accepted else '-'} {proposal.name:<{wide}}  {proposal.goal}  {said}")
-        for reason in proposal.reasons:
-            click.echo(f"    {reason.code}: {reason.text}")
+    camera = output.choose_camera(context.twin.scene, spec, name)
+    return png_bytes(render(context.twin.scene, camera, engine=choose_engine("auto")))

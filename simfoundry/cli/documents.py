@@ -10,20 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from simfoundry.cli.output import (
-    CANNOT,
-    DONE,
-    FINDINGS,
-    CannotError,
-    plural,
-    print_document,
-    print_findings,
-    print_json,
-    print_json_text,
-    progress_bar,
-    subcommand,
-    write_in_place,
-)
+from simfoundry.cli import output
+from simfoundry.cli.options import option
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.report import FORMATS
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.models.kinds import is_document
@@ -54,33 +43,28 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
         elif path.exists() or path.is_symlink():  # a broken symbolic link is reported when it is read
             files[path] = None
         else:
-            raise CannotError(f"there is no file {path}")
+            raise SimfoundryError(f"{path} does not exist")
     if not files:
         but = f" except {excluded} excluded by {MARKER}" if excluded else ""
-        raise CannotError(f"could not find any documents below {', '.join(map(str, paths))}{but}")
+        raise SimfoundryError(f"could not find any documents below {', '.join(map(str, paths))}{but}")
     return list(files)
 
 
 def _included(found: list[Path], folder: Path) -> list[Path]:
     """Return the documents that are not excluded by the project that contains ``folder`` or by their own project."""
     projects = {parent: find_project(parent) for parent in {folder, *(path.parent for path in found)}}
-
-    def is_excluded(path: Path) -> bool:
-        return any(p is not None and p.excludes(path, folder) for p in (projects[folder], projects[path.parent]))
-
-    return [path for path in found if not is_excluded(path)]
+    both = {path: (projects[folder], projects[path.parent]) for path in found}
+    return [path for path in found if not any(p is not None and p.excludes(path, folder) for p in both[path])]
 
 
 # Minimum number of documents for which a progress bar is shown on a terminal.
 MANY = 100
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option(
-    "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
-    help="Output format: text, or a format for scripts, code scanning or GitHub.",
-)  # fmt: skip
+@option("--format", "form", type=click.Choice(FORMATS), default="text",
+        help="Output format: text, or a format for scripts, code scanning or GitHub.")  # fmt: skip
 @click.option("--lints/--no-lints", default=True, help="Also check the geometry, or only the structure.")
 def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
     """Check the given documents, and all documents below the given folders (default: the working folder).
@@ -89,28 +73,26 @@ def check_command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool
     explain CODE`.
     """
     from simfoundry.runtime.parallel import map_parallel
-    from simfoundry.spec.check.report import gather, renderer
+    from simfoundry.spec.check.report import gather, renderer, summary
 
     form = "json" if as_json else form
     files = documents(paths or (Path(),))
     _known.clear()
     _linted.clear()
-    with progress_bar(len(files) < MANY or not sys.stderr.isatty()) as progress:
+    with output.progress_bar(len(files) < MANY or not sys.stderr.isatty()) as progress:
         checked = map_parallel(partial(_check, lints=lints), files, lambda done: progress("check", done / len(files)))
     report = gather(map(str, files), checked)
     if form == "text":
-        print_findings(list(report.findings))
+        output.print_findings(list(report.findings))
     elif form == "github" and report.findings:
         click.echo(renderer(form)(report))
     elif form != "github":
-        print_json_text(renderer(form)(report))
+        output.print_json_text(renderer(form)(report))
     if form in ("text", "github"):
-        from simfoundry.spec.check.report import summary
-
         click.echo(summary(report))
     if form == "text" and report.findings and sys.stdout.isatty():
         click.echo(f"run `simfoundry explain {report.findings[0].code}` for details")
-    return FINDINGS if report.findings else DONE
+    return output.FINDINGS if report.findings else output.DONE
 
 
 # Documents that this process has read while running the command, by project; shared documents are read only once.
@@ -147,7 +129,7 @@ def _used(loaded: Loaded) -> Iterator[Path]:
 STDIN = Path("-")
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
 @click.option("--check", is_flag=True, help="Do not write anything; exit with code 1 if a document would change.")
 @click.option("--diff", is_flag=True, help="Do not write anything; show the changes.")
@@ -161,25 +143,25 @@ def fmt_command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool)
 
     if STDIN in paths:
         if len(paths) > 1 or as_json:
-            raise CannotError("`-` cannot be combined with other files or --json")
+            raise SimfoundryError("`-` cannot be combined with other files or --json")
         return _format_stream(check, diff)
     done = _rewrite(documents(paths or (Path(),)), format_file, keep=check or diff)
     diffs = {str(path): _difference(path, text) for path, text in done.changed.items()} if diff else {}
     if as_json:
-        print_json(done.to_json("changed") | ({"diffs": diffs} if diff else {}))
+        output.print_json(done.to_json("changed") | ({"diffs": diffs} if diff else {}))
     else:
         for path in done.changed:
-            said = "would change" if check else "wrote"
-            click.echo(diffs[str(path)] if diff else f"{said} {path}", nl=not diff)
-        print_findings(done.findings)
+            line = f"{'would change' if check else 'wrote'} {path}"
+            click.echo(diffs.get(str(path), line), nl=not diff)
+        output.print_findings(done.findings)
     if not (as_json or diff):
         changes = f"{len(done.changed) or 'none'} {'would change' if check else 'changed'}"
         seen = "; `--diff` shows how" if check and done.changed else ""
-        click.echo(f"{plural(len(done.files), 'document')}: {changes}{seen}")
+        click.echo(f"{output.plural(len(done.files), 'document')}: {changes}{seen}")
     return done.exit_code(check)
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--check", is_flag=True, help="Do not write anything; exit with code 1 if a document is out of date.")
 def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
@@ -198,12 +180,12 @@ def migrate_command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     files = documents(paths or (Path(),))
     done = _rewrite(files, update, keep=check)._replace(files=files)
     if as_json:
-        print_json(done.to_json("older"))
-    else:
-        for path in done.changed:
-            click.echo(f"{'would update' if check else 'updated'} {path}")
-        print_findings(done.findings)
-        click.echo(f"{plural(len(done.files), 'document')}: {len(done.changed) or 'none'} out of date")
+        output.print_json(done.to_json("older"))
+        return done.exit_code(check)
+    for path in done.changed:
+        click.echo(f"{'would update' if check else 'updated'} {path}")
+    output.print_findings(done.findings)
+    click.echo(f"{output.plural(len(done.files), 'document')}: {len(done.changed) or 'none'} out of date")
     return done.exit_code(check)
 
 
@@ -227,7 +209,7 @@ class _Rewritten(NamedTuple):
 
     def exit_code(self, check: bool) -> int:
         """Return the exit code; if ``check`` is set, changes lead to exit code 1."""
-        return CANNOT if self.findings else FINDINGS if check and self.changed else DONE
+        return output.CANNOT if self.findings else output.FINDINGS if check and self.changed else output.DONE
 
 
 def _rewrite(files: list[Path], change: Callable[[Path], Formatted], keep: bool) -> _Rewritten:
@@ -247,7 +229,7 @@ def _rewrite(files: list[Path], change: Callable[[Path], Formatted], keep: bool)
             if text.changed:
                 done.changed[path] = text
     for path, text in done.changed.items() if not keep else ():
-        write_in_place(path, text.after)
+        output.write_in_place(path, text.after)
     return done
 
 
@@ -259,13 +241,14 @@ def _format_stream(check: bool, diff: bool) -> int:
     try:
         before = sys.stdin.buffer.read().decode("utf-8")
     except UnicodeDecodeError:
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is not UTF-8 text", "<stdin>")]) from None
+        message = "the text could not be decoded as UTF-8"
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, "<stdin>")]) from None
     text = Formatted(before, format_text(before, "<stdin>"))
     if diff:
         click.echo(_difference(STDIN, text), nl=False)
     elif not check:
-        print_document(text.after)
-    return FINDINGS if check and text.changed else DONE
+        output.print_document(text.after)
+    return output.FINDINGS if check and text.changed else output.DONE
 
 
 def _difference(path: Path, text: Formatted) -> str:

@@ -8,18 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, resumable
+from simfoundry.cli import output
+from simfoundry.cli.options import ANY, NEW_FILE, NEW_FOLDER, WorldName, files_below, option, resumable
 from simfoundry.cli.options import shard as shard_of
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,45 +27,26 @@ if TYPE_CHECKING:
 SENTENCES = 10
 
 
-@subcommand("eval")
+@output.subcommand("eval")
 @click.argument("tasks", nargs=-1, required=True, type=ANY)
-@click.option(
-    "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
-    help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a server such "
-    "as openpi:localhost:8000?action_space=joint_position. May be repeated.",
-)  # fmt: skip
-@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
-@click.option(
-    "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
-    help="Number of rollouts for each task.",
-)  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed for the initial states."
-)
-@click.option(
-    "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="Run in this engine; repeat the option to compare two engines.",
-)  # fmt: skip
+@click.option("-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
+              help="Policy to evaluate: random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml file, or a "
+                   "server such as openpi:localhost:8000?action_space=joint_position. May be repeated.")  # fmt: skip
+@option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"))
+@option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, help="Number of rollouts for each task.")
+@option("--seed", type=click.IntRange(0, 2**31), default=0, help="Seed for the initial states.")
+@option("--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
+        help="Run in this engine; repeat the option to compare two engines.")  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step and require the goal of the task.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step and require only the goal of this step.")
 @click.option("--subtasks", is_flag=True, help="Also run each step that defines its own initial state.")
-@click.option(
-    "--video/--no-video",
-    default=None,
-    help="Record a video of each rollout. Default: if rendering is possible.",
-)
-@click.option(
-    "--camera",
-    "cameras",
-    multiple=True,
-    help="Record videos from this camera; may be repeated. Default: the scene's first.",
-)
-@click.option(
-    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Number of parallel processes."
-)
-@click.option(
-    "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
-)
+@click.option("--video/--no-video", default=None,
+              help="Record a video of each rollout. Default: if rendering is possible.")  # fmt: skip
+@click.option("--camera", "cameras", multiple=True,
+              help="Record videos from this camera; may be repeated. Default: the scene's first.")  # fmt: skip
+@option("-j", "--jobs", type=click.IntRange(1, 256), default=1, help="Number of parallel processes.")
+@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N",
+              help="Run every N-th rollout, starting with the I-th.")  # fmt: skip
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with code 1 if a success rate is below this.")
 def eval_command(
     tasks: tuple[Path, ...], policies: tuple[str, ...], out: Path, rollouts: int, seed: int, worlds: tuple[str, ...],
@@ -101,7 +74,7 @@ def eval_command(
     from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
-        raise CannotError("--from, --step and --subtasks are mutually exclusive")
+        raise SimfoundryError("--from, --step and --subtasks are mutually exclusive")
     plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
@@ -113,7 +86,7 @@ def eval_command(
         cameras=cameras or None,
         video=_can_film(worlds) if video is None else video,
     )
-    with progress_bar(as_json) as progress, resumable(out):
+    with output.progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
         evaluation = run_plan(plan, jobs, progress)
     return _print_report(plan, evaluation, require, as_json)
@@ -151,7 +124,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
     low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
     if as_json:
         extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
-        print_json({**evaluation.results, **extra})
+        output.print_json({**evaluation.results, **extra})
     else:
         _print_rates(evaluation.records)
         for trouble in troubles[:SENTENCES]:
@@ -166,7 +139,7 @@ def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float |
             where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
             click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
         click.echo(f"{evaluation.report}")
-    return FINDINGS if missing or low else DONE
+    return output.FINDINGS if missing or low else output.DONE
 
 
 def _print_rates(records: Sequence[Mapping[str, Any]]) -> None:
@@ -219,18 +192,14 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
             console.print(other.sentence, markup=False, soft_wrap=True)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("real", type=ANY)
 @click.argument("sim", nargs=-1, required=True, type=ANY)
-@click.option(
-    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
-    help="Number of rollouts to assume for a rate without a count.",
-)  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
-    help="Number of samples used to compute the intervals.",
-)  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed for sampling.")
+@option("--rollouts", type=click.IntRange(min=1), default=25,
+        help="Number of rollouts to assume for a rate without a count.")  # fmt: skip
+@option("--draws", type=click.IntRange(1, 100_000), default=2000,
+        help="Number of samples used to compute the intervals.")  # fmt: skip
+@option("--seed", type=click.IntRange(min=0), default=0, help="Seed for sampling.")
 @click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def correlate_command(
     real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, force: bool,
@@ -245,10 +214,12 @@ def correlate_command(
     """
     from simfoundry.evaluate.statistics import correlation
 
-    protect_output(svg, [real, *sim], force)
+    output.protect_output(svg, [real, *sim], force)
     truth = correlation.read_scores(real)
     if len(engines := correlation.by_engine(truth)) > 1:
-        raise CannotError(f"{real} contains results from {' and '.join(engines)}; pass a single table of real results")
+        raise SimfoundryError(
+            f"{real} contains results from {' and '.join(engines)}; pass a single table of real results"
+        )
     tables: dict[str, list[Score]] = {}
     for name, path in zip(_table_names(sim), sim, strict=True):
         each = correlation.by_engine(correlation.read_scores(path))
@@ -260,9 +231,9 @@ def correlate_command(
     if svg is not None:
         from simfoundry.reports.correlation import scatter
 
-        write_text(svg, scatter(found))
+        output.write_text(svg, scatter(found))
     if as_json:
-        print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
+        output.print_json({name: _agreement_json(one, missing[name], said[name]) for name, one in found.items()})
         return
     _print_agreements(found, missing, said)
     if svg is not None:
@@ -273,7 +244,7 @@ def _table_names(sim: Sequence[Path]) -> list[str]:
     for names in ([path.stem if path.suffix else path.name for path in sim], [str(path) for path in sim]):
         if len(set(names)) == len(names):
             return names
-    raise CannotError("the same table was passed twice")
+    raise SimfoundryError("the same table was passed twice")
 
 
 def _agreement_json(found: Sequence[RateAgreement], missing: list[str], said: list[str]) -> dict[str, Any]:

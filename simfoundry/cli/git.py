@@ -6,11 +6,13 @@ import os
 import re
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.cli import output
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.git.revisions import GitError, git
 from simfoundry.spec.models.kinds import KINDS, suffix
 
@@ -29,7 +31,7 @@ def git_command() -> None:
 @click.option("--global", "everywhere", is_flag=True, help="Apply to all your repositories.")
 @click.option("--local", "here", is_flag=True, help="Apply to this repository only (default).")
 @click.option("--uninstall", is_flag=True, help="Remove the settings.")
-@reporting
+@output.reporting
 def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     """Register simfoundry as git's diff and merge driver for documents.
 
@@ -44,23 +46,23 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
             if _output("config", scope, "--get-regexp", rf"^{re.escape(section)}\."):
                 git(Path(), "config", scope, "--remove-section", section)
                 click.echo(f"removed {section} {words}")
-        if _remove_lines(attributes):
+        if _set_patterns(attributes, ()):
             click.echo(f"removed the patterns from {attributes}")
-        return DONE
+        return output.DONE
     for key, value in settings().items():
         git(Path(), "config", scope, "--replace-all", key, value)
         click.echo(f"set {key}")
-    added = _add_lines(attributes)
+    added = _set_patterns(attributes, LINES)
     click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {attributes}")
     click.echo(f"done {words}; to undo: simfoundry git install{' --global' if everywhere else ''} --uninstall")
     if not everywhere:
         click.echo("commit .gitattributes; each team member must run `simfoundry git install` once")
-    return DONE
+    return output.DONE
 
 
 @git_command.command()
-@json_option
-@reporting
+@output.json_option
+@output.reporting
 def status(as_json: bool) -> int:
     """Show the git settings that apply to this repository. The exit code is 1 if a setting is missing."""
     wanted = settings()
@@ -68,21 +70,22 @@ def status(as_json: bool) -> int:
     folder = _top()
     given = _output("check-attr", "diff", "merge", "--", f"a{PATTERNS[0][1:]}") if folder is not None else ""
     attributes = [line.rpartition(": ")[2] for line in given.splitlines()] == [DRIVER, DRIVER]
+    complete = all(found.values()) and attributes
     if as_json:
-        print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
+        output.print_json({"settings": found, "attributes": attributes, "complete": complete})
     else:
         for key, value in found.items():
             other = "" if value == wanted[key] else "  (from another installation; run install to update it)"
             click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
-        if folder is None:
-            click.echo("this is not a git repository, so there are no attributes")
-        else:
-            click.echo(
-                f"documents in this repository {'have' if attributes else 'do not have'} the attributes diff and merge"
-            )
-        if not (all(found.values()) and attributes):
+        have = "have" if attributes else "do not have"
+        click.echo(
+            "this is not a git repository, so there are no attributes"
+            if folder is None
+            else f"documents in this repository {have} the attributes diff and merge"
+        )
+        if not complete:
             click.echo("to add the missing settings: simfoundry git install")
-    return DONE if all(found.values()) and attributes else FINDINGS
+    return output.DONE if complete else output.FINDINGS
 
 
 def settings() -> dict[str, str]:
@@ -107,14 +110,14 @@ def settings() -> dict[str, str]:
 def _attributes_file(everywhere: bool, here: bool) -> Path:
     """Return the attributes file of the current repository, or of all repositories of the user."""
     if everywhere and here:
-        raise CannotError("--global and --local are mutually exclusive")
+        raise SimfoundryError("--global and --local are mutually exclusive")
     if everywhere:
         named = _output("config", "--global", "--type=path", "--get", "core.attributesFile")
         config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
         return Path(named) if named else config / "git" / "attributes"
     top = _top()
     if top is None:
-        raise CannotError("this is not a git repository; create one with `git init`, or pass --global")
+        raise SimfoundryError("this is not a git repository; create one with `git init`, or pass --global")
     return top / ".gitattributes"
 
 
@@ -124,37 +127,24 @@ def _top() -> Path | None:
     return Path(found) if found else None
 
 
-def _add_lines(file: Path) -> bool:
-    """Add the missing patterns to a file, and return True if there were any; other lines are kept."""
-    text = _read(file)
-    missing = [line for line in LINES if line not in text.splitlines()]
-    if missing:
-        start = text if not text or text.endswith("\n") else f"{text}\n"
-        _write(file, start + "".join(f"{line}\n" for line in missing))
-    return bool(missing)
+def _set_patterns(file: Path, patterns: Sequence[str]) -> bool:
+    """Add the missing ``patterns`` to a file, remove all others of :data:`LINES`, and return True if the file changed.
 
-
-def _remove_lines(file: Path) -> bool:
-    """Remove the patterns from a file, or the file itself if it contains nothing else; return True if it changed."""
-    text = _read(file)
-    kept = [line for line in text.splitlines(keepends=True) if line.rstrip("\r\n") not in LINES]
-    if len(kept) == len(text.splitlines()):
-        return False
-    if kept:
-        _write(file, "".join(kept))
-    else:
-        file.unlink()
-    return True
-
-
-def _read(file: Path) -> str:
-    return file.read_bytes().decode("utf-8", "surrogateescape") if file.exists() else ""
-
-
-def _write(file: Path, text: str) -> None:
+    Other lines are kept. A file that would be empty is deleted.
+    """
     from simfoundry.runtime.files import write_atomically
 
-    write_atomically(file.resolve(), text.encode("utf-8", "surrogateescape"))
+    before = file.read_bytes().decode("utf-8", "surrogateescape") if file.exists() else ""
+    unwanted = set(LINES) - set(patterns)
+    lines = [line for line in before.splitlines(keepends=True) if line.rstrip("\r\n") not in unwanted]
+    if missing := [f"{line}\n" for line in patterns if line not in before.splitlines()]:
+        lines = ["".join(lines), "" if not lines or lines[-1].endswith("\n") else "\n", *missing]
+    after = "".join(lines)
+    if after and after != before:
+        write_atomically(file.resolve(), after.encode("utf-8", "surrogateescape"))
+    elif before and not after:
+        file.unlink()
+    return after != before
 
 
 def _output(*args: str) -> str:

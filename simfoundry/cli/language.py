@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from simfoundry.cli import output
 from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER
-from simfoundry.cli.output import (
-    DONE,
-    CannotError,
-    in_color,
-    print_document,
-    print_json,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.models.kinds import KINDS
 
-if TYPE_CHECKING:
-    from simfoundry.spec.check.pages import Page
-
 # Next steps for a new document of each kind.
-NEXT = {
+NEXT = dict.fromkeys(("task", "asset", "cousins", "policy"), ("simfoundry check {path}",)) | {
     "scene": ("simfoundry check {path}", "simfoundry show {path}"),
-    "task": ("simfoundry check {path}",),
-    "asset": ("simfoundry check {path}",),
     "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
-    "cousins": ("simfoundry check {path}",),
-    "policy": ("simfoundry check {path}",),
 }
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
 @click.option("--name", help="Name of the document. Default: the file name without its suffix.")
 @click.option("--from", "source", type=FILE, metavar="SCENE",
@@ -55,48 +40,40 @@ def new_command(
     working folder or to the closest folder that contains all specified files. If the project does not contain schemas
     for editors, they are written to .simfoundry/schemas/.
     """
-    from simfoundry.spec.editor.new import NewError, kind_and_path, make
+    from simfoundry.spec.editor.new import kind_and_path, make
 
-    try:
-        kind, path = kind_and_path(words)
-        if path.exists() and not force:
-            raise CannotError(f"{path} already exists; use --force to replace it")
-        new = make(kind, path, name, source, extends)
-    except NewError as error:
-        raise CannotError(str(error)) from None
+    kind, path = kind_and_path(words)
+    if path.exists() and not force:
+        raise SimfoundryError(f"{path} already exists; use --force to replace it")
+    new = make(kind, path, name, source, extends)
     for file, text in {**new.marker, **new.schemas, new.path: new.text}.items():
-        write_text(file, text)
+        output.write_text(file, text)
     written = sorted({str(file.parent) for file in new.schemas})
     steps = [step.format(path=path, folder=path.parent) for step in NEXT[kind]]
     if as_json:
         marker = next((str(file) for file in new.marker), None)
-        print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
+        output.print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
         return
+    here = f"{Path.cwd()}{os.sep}"  # paths inside the working folder are shown relative to it
     click.echo(f"wrote {path}")
     for file in new.marker:
-        click.echo(f"wrote {_shown(str(file))}, which marks the root of the project")
+        click.echo(f"wrote {str(file).removeprefix(here)}, which marks the root of the project")
     for folder in written:
-        click.echo(f"wrote {_shown(folder)}/, which editors use for completion and checks")
-    click.echo("next:")
-    for step in steps:
-        click.echo(f"  {step}")
-
-
-def _shown(folder: str) -> str:
-    """Return a path relative to the working folder if it is inside that folder."""
-    path, here = Path(folder), Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else folder
+        click.echo(f"wrote {folder.removeprefix(here)}/, which editors use for completion and checks")
+    click.echo("\n  ".join(["next:", *steps]))
 
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
+# Maximum number of characters in a line of a page on a terminal; longer lines are hard to read.
+LINE_LENGTH = 100
 
-@subcommand(as_json=False, force=True)
+
+@output.subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=NEW_FOLDER, help="Write all schemas to this folder.")
-@click.option(
-    "--standard", is_flag=True, help="Use only standard JSON Schema keywords, for strict validators such as ajv."
-)
+@click.option("--standard", is_flag=True,
+              help="Use only standard JSON Schema keywords, for strict validators such as ajv.")  # fmt: skip
 def schema_command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
     """Print the JSON Schema for one kind of document, or write all schemas to a folder with -o.
 
@@ -107,23 +84,24 @@ def schema_command(kind: str | None, out: Path | None, standard: bool, force: bo
 
     texts = schemas(standard)
     if out is not None:
-        for name, text in texts.items():
-            if not (out / name).is_file() or (out / name).read_bytes() != text.encode():
-                protect_output(out / name, force=force)
-        for name, text in texts.items():
-            write_text(out / name, text)
-            click.echo(str(out / name))
+        files = {out / name: text for name, text in texts.items()}
+        for file, text in files.items():
+            if not file.is_file() or file.read_bytes() != text.encode():
+                output.protect_output(file, force=force)
+        for file, text in files.items():
+            output.write_text(file, text)
+            click.echo(str(file))
         return
     if kind is None:
         raise click.UsageError(f"specify a kind ({', '.join(WORDS)}), or write all schemas with -o FOLDER")
-    print_document(texts[f"{kind}.schema.json"])
+    output.print_document(texts[f"{kind}.schema.json"])
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("file", type=FILE)
 @click.option("-o", "--out", type=NEW_FILE, help="Write to this file instead of the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the SHA-256 of the text.")
-def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
+def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> None:
     """Write a complete document that includes everything it extends and all default values.
 
     Equivalent documents produce the same text and therefore the same hash. File paths are made relative to the location
@@ -134,24 +112,23 @@ def flatten_command(file: Path, out: Path | None, only_hash: bool, force: bool, 
     from simfoundry.spec.load import load
 
     loaded = load(file)
-    protect_output(out, [file, *loaded.files()], force)
+    output.protect_output(out, [file, *loaded.files()], force)
     if loaded.spec is None or loaded.errors:
         raise SpecError(loaded.errors)
     text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
     if out is not None:
-        write_text(out, text)
+        output.write_text(out, text)
     if as_json:
-        print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
+        output.print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
     elif only_hash:
         click.echo(digest(text))
     elif out is None:
-        print_document(text)
+        output.print_document(text)
     else:
         click.echo(f"wrote {out}")
-    return DONE
 
 
-@subcommand()
+@output.subcommand()
 @click.argument("code", required=False)
 def explain_command(code: str | None, as_json: bool) -> None:
     """Explain a diagnostic code: its meaning, how to fix it, and examples of incorrect and correct input.
@@ -162,34 +139,23 @@ def explain_command(code: str | None, as_json: bool) -> None:
     from simfoundry.spec.diagnostics import nearest
 
     if code is None:
-        if as_json:
-            print_json({"groups": grouped()})
-        else:
-            click.echo(_code_list(grouped()))
+        groups = grouped()
+        blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
+        output.print_result(as_json, {"groups": groups}, "\n\n".join(blocks))
         return
     known = code_of(code)
     if known is None:
         similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", titles())
         hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
-        raise CannotError(f"there is no code `{code}`; {hint}")
+        raise SimfoundryError(f"there is no code `{code}`; {hint}")
     found = page(known)
     if as_json:
-        print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
-    elif in_color(sys.stdout):
-        _show_page(found)
+        output.print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
+    elif output.in_color(sys.stdout):
+        from rich.console import Console
+        from rich.markdown import Markdown
+
+        console = Console()
+        console.print(Markdown(found.markdown, code_theme="ansi_dark"), width=min(console.width, LINE_LENGTH))
     else:
         click.echo(found.markdown, nl=False)
-
-
-def _code_list(groups: dict[str, dict[str, str]]) -> str:
-    blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
-    return "\n\n".join(blocks)
-
-
-def _show_page(page: Page) -> None:
-    """Print a page to the terminal with a readable line length."""
-    from rich.console import Console
-    from rich.markdown import Markdown
-
-    console = Console()
-    console.print(Markdown(page.markdown, code_theme="ansi_dark"), width=min(console.width, 100))

@@ -16,47 +16,35 @@ from simfoundry import __version__
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 gc.set_threshold(100_000)  # there are tens of thousands of long-lived objects, so collecting more often is useless
 
+# The module that defines each command, and a summary of the command.
 COMMANDS = {
-    "capture": "Turn a capture folder into a scene.",
-    "check": "Check documents and show every finding with its location.",
-    "compile": "Compile a scene for simulators.",
-    "cousins": "Make variants of a scene or task that preserve its affordances.",
-    "correlate": "Compare simulated success rates with real ones.",
-    "demo": "Reconstruct, compile and run a scene from an included image or your own.",
-    "diff": "Show the changes between two documents or revisions.",
-    "doctor": "Show installed and missing components, and how to install them.",
-    "eval": "Evaluate policies on tasks.",
-    "explain": "Explain a diagnostic code, or list all codes.",
-    "export": "Write a task as BDDL or in the format of the paper's release.",
-    "flatten": "Write a document in full, with everything it extends and every default.",
-    "fmt": "Rewrite documents in their canonical form, keeping comments.",
-    "git": "Set up semantic diffs and merges of documents in git.",
-    "import": "Convert URDF, MJCF, USD, BDDL or files from the paper's release to documents.",
-    "judge": "Evaluate predicates in a scene, with margins and explanations.",
-    "log": "Show what each commit changed in a document.",
-    "merge": "Merge two edited versions of a document semantically, or resolve conflicts.",
-    "migrate": "Update documents that were written for older versions.",
-    "new": "Create a document of any kind, with comments that explain its keys.",
-    "propose": "Propose tasks for a scene, each verified to be feasible.",
-    "render": "Render an image from a camera in a scene.",
-    "schema": "Print the JSON Schemas for documents.",
-    "settle": "Simulate a scene until it is at rest, and report how objects moved.",
-    "show": "Show a scene as a tree with sizes and masses.",
-    "synthesize": "Render a scene as a synthetic capture with sensor noise.",
-    "verify": "Load builds in real simulators and compare them with the scene.",
-}
-
-# Commands by module. Each command that is not listed is defined in a module with the same name.
-MODULES = {
-    "capture": ("capture", "demo"),
-    "changes": ("diff", "log", "merge"),
-    "convert": ("export", "import"),
-    "cousins": ("cousins", "propose"),
-    "documents": ("check", "fmt", "migrate"),
-    "evaluate": ("correlate", "eval"),
-    "language": ("explain", "flatten", "new", "schema"),
-    "scenes": ("judge", "render", "settle", "show", "synthesize"),
-    "verify": ("doctor", "verify"),
+    "capture": ("capture", "Turn a capture folder into a scene."),
+    "check": ("documents", "Check documents and show every finding with its location."),
+    "compile": ("compile", "Compile a scene for simulators."),
+    "cousins": ("cousins", "Make variants of a scene or task that preserve its affordances."),
+    "correlate": ("evaluate", "Compare simulated success rates with real ones."),
+    "demo": ("capture", "Reconstruct, compile and run a scene from an included image or your own."),
+    "diff": ("changes", "Show the changes between two documents or revisions."),
+    "doctor": ("verify", "Show installed and missing components, and how to install them."),
+    "eval": ("evaluate", "Evaluate policies on tasks."),
+    "explain": ("language", "Explain a diagnostic code, or list all codes."),
+    "export": ("convert", "Write a task as BDDL or in the format of the paper's release."),
+    "flatten": ("language", "Write a document in full, with everything it extends and every default."),
+    "fmt": ("documents", "Rewrite documents in their canonical form, keeping comments."),
+    "git": ("git", "Set up semantic diffs and merges of documents in git."),
+    "import": ("convert", "Convert URDF, MJCF, USD, BDDL or files from the paper's release to documents."),
+    "judge": ("scenes", "Evaluate predicates in a scene, with margins and explanations."),
+    "log": ("changes", "Show what each commit changed in a document."),
+    "merge": ("changes", "Merge two edited versions of a document semantically, or resolve conflicts."),
+    "migrate": ("documents", "Update documents that were written for older versions."),
+    "new": ("language", "Create a document of any kind, with comments that explain its keys."),
+    "propose": ("cousins", "Propose tasks for a scene, each verified to be feasible."),
+    "render": ("scenes", "Render an image from a camera in a scene."),
+    "schema": ("language", "Print the JSON Schemas for documents."),
+    "settle": ("scenes", "Simulate a scene until it is at rest, and report how objects moved."),
+    "show": ("scenes", "Show a scene as a tree with sizes and masses."),
+    "synthesize": ("scenes", "Render a scene as a synthetic capture with sensor noise."),
+    "verify": ("verify", "Load builds in real simulators and compare them with the scene."),
 }
 
 
@@ -69,13 +57,13 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = next((name for name, commands in MODULES.items() if cmd_name in commands), cmd_name)
-        command: click.Command = getattr(importlib.import_module(f"simfoundry.cli.{module}"), f"{cmd_name}_command")
+        module = importlib.import_module(f"simfoundry.cli.{COMMANDS[cmd_name][0]}")
+        command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -107,17 +95,14 @@ def main() -> None:
         click.echo("stopped", err=True)
         sys.exit(130)
     except click.ClickException as error:
-        if _asks_for_json(sys.argv[1:]):
+        args = sys.argv[1:]
+        if "--json" in args or "--format=json" in args or ("--format", "json") in pairwise(args):
             from simfoundry.cli.output import print_json
 
             print_json({"error": error.format_message()})
         else:
             error.show()
         sys.exit(2)
-
-
-def _asks_for_json(args: list[str]) -> bool:
-    return "--json" in args or "--format=json" in args or ("--format", "json") in pairwise(args)
 
 
 if __name__ == "__main__":

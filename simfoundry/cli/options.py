@@ -6,11 +6,15 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import CannotError
+from simfoundry.errors import SimfoundryError
+
+# An option whose help shows its default.
+option = partial(click.option, show_default=True)
 
 ANY = click.Path(path_type=Path, exists=True)
 FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -47,7 +51,7 @@ def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]
     for path in paths:
         inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
         if not inside:
-            raise CannotError(f"{path} does not contain any {noun} (files whose names end in {suffix})")
+            raise SimfoundryError(f"{path} does not contain any {noun} (files whose names end in {suffix})")
         yield from inside
 
 

@@ -97,10 +97,17 @@ def print_json(data: Any) -> None:
     print_json_text(json.dumps(data, indent=2, ensure_ascii=False))
 
 
+def print_result(as_json: bool, data: Any, text: str) -> None:
+    """Print ``data`` as JSON if ``as_json`` is set, otherwise print ``text``."""
+    if as_json:
+        print_json(data)
+    else:
+        click.echo(text)
+
+
 def print_json_text(text: str) -> None:
     """Print JSON text, escaping non-ASCII characters if standard output does not use a Unicode encoding."""
-    escaped = text if _is_unicode(sys.stdout) else re.sub(r"[^\x00-\x7f]", lambda c: json.dumps(c[0])[1:-1], text)
-    click.echo(escaped)
+    click.echo(text if _is_unicode(sys.stdout) else re.sub(r"[^\x00-\x7f]", lambda c: json.dumps(c[0])[1:-1], text))
 
 
 def print_document(text: str) -> None:
@@ -210,19 +217,6 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 LINE_S = 10.0
 
 
-def _line_now_and_then() -> Callable[[str, float], None]:
-    """Return a function that prints the current step if nothing has been printed for :data:`LINE_S`."""
-    last = time.monotonic()
-
-    def say(stage: str, _share: float) -> None:
-        nonlocal last
-        if time.monotonic() - last >= LINE_S:
-            last = time.monotonic()
-            click.echo(f"{stage} …", err=True)
-
-    return say
-
-
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """Show the progress of long steps on standard error: a bar on a terminal, or else occasional lines.
@@ -234,7 +228,15 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
         yield lambda stage, share: None
         return
     if not sys.stderr.isatty():  # avoid importing rich, which is slow
-        yield _line_now_and_then()
+        last = time.monotonic()
+
+        def print_occasionally(stage: str, _share: float) -> None:
+            nonlocal last
+            if time.monotonic() - last >= LINE_S:
+                last = time.monotonic()
+                click.echo(f"{stage} …", err=True)
+
+        yield print_occasionally
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

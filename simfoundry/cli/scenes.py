@@ -2,42 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, scene_argument
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    choose_camera,
-    lower_scene,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.cli import output
+from simfoundry.cli.options import NEW_FILE, NEW_FOLDER, WorldName, camera_option, option, scene_argument
 from simfoundry.errors import SimfoundryError
 
+if TYPE_CHECKING:
+    from simfoundry.worlds.settle import ObjectSettle
 
-@subcommand()
+
+@output.subcommand()
 @scene_argument
 def show_command(scene: Path, as_json: bool) -> None:
     """Show a scene as a tree of support relations, with sizes, masses and joints."""
     from simfoundry.scene.summary import summary, tree
 
-    _, spec, lowered = lower_scene(scene, as_json, fetch=False)
-    facts: dict[str, Any] = summary(lowered, spec)
-    if as_json:
-        print_json(facts)
-    else:
-        click.echo(tree(facts))
+    _, spec, lowered = output.lower_scene(scene, as_json, fetch=False)
+    facts = summary(lowered, spec)
+    output.print_result(as_json, facts, tree(facts))
 
 
-@subcommand()
+@output.subcommand()
 @scene_argument
 @click.argument("conditions", nargs=-1)
 def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
@@ -50,51 +40,46 @@ def judge_command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> in
     from simfoundry.scene.state import SceneState
     from simfoundry.spec.models.predicate import ExpressionError, parse_call
 
-    lowered = lower_scene(scene, as_json)[2]
+    lowered = output.lower_scene(scene, as_json)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)
-    rows: list[dict[str, Any]] = []
+    rows, lines = [], []
     for text in conditions or tuple(str(relation) for relation in lowered.relations):
         try:
             name, verdict = str(parse_call(text)), judge(text, state)
         except (ExpressionError, PredicateError) as error:
             raise SimfoundryError(f"{text}: {error}") from None
         rows.append({"condition": name, "value": verdict.value, "margin": verdict.margin, "why": verdict.why})
-    if as_json:
-        print_json({"verdicts": rows})
-    for row in () if as_json else rows:
-        click.echo(f"{'true ' if row['value'] else 'false'}  {row['margin']:+.4f}  {row['condition']}: {row['why']}")
-    return int(not all(row["value"] for row in rows))
+        lines.append(f"{'true ' if verdict.value else 'false'}  {verdict.margin:+.4f}  {name}: {verdict.why}")
+    if rows or as_json:
+        output.print_result(as_json, {"verdicts": rows}, "\n".join(lines))
+    return output.DONE if all(row["value"] for row in rows) else output.FINDINGS
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @camera_option
 @click.option("-o", "--out", type=NEW_FILE, help="Output file. Default: SCENE-CAMERA.png.")
-@click.option(
-    "--engine", type=click.Choice(["auto", "egl", "osmesa", "raycast"]), default="auto", show_default=True,
-    help="Renderer: MuJoCo with EGL or OSMesa, or a ray caster that does not need a GL driver.",
-)  # fmt: skip
+@option("--engine", type=click.Choice(["auto", "egl", "osmesa", "raycast"]), default="auto",
+        help="Renderer: MuJoCo with EGL or OSMesa, or a ray caster that does not need a GL driver.")  # fmt: skip
 def render_command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
     """Render a PNG image from a camera in a scene. No display is required."""
     from simfoundry.render.montage import save_png
     from simfoundry.worlds.render import choose_engine, render
 
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    view = choose_camera(lowered, spec, camera)
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    view = output.choose_camera(lowered, spec, camera)
     chosen = choose_engine(engine)
     target = out or Path(f"{lowered.name}-{view.name}.png")
-    protect_output(target, [scene, *loaded.files()], force)
+    output.protect_output(target, [scene, *loaded.files()], force)
     save_png(target, render(lowered, view, engine=chosen))
-    if as_json:
-        print_json({"out": str(target), "camera": view.name, "engine": chosen.value})
-    else:
-        click.echo(f"{target}  ({view.name}, {view.width} x {view.height}, {chosen})")
+    facts = {"out": str(target), "camera": view.name, "engine": chosen.value}
+    output.print_result(as_json, facts, f"{target}  ({view.name}, {view.width} x {view.height}, {chosen})")
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @click.option("-o", "--out", type=NEW_FILE, help="Write the settled scene to this file.")
-@click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
+@option("--engine", type=WorldName(), default="mujoco")
 def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
     """Simulate a scene until it is at rest, and report how its objects moved.
 
@@ -108,59 +93,41 @@ def settle_command(scene: Path, out: Path | None, engine: str, force: bool, as_j
     from simfoundry.worlds.settle import settle
 
     if out is not None and out.resolve().parent != scene.resolve().parent:
-        raise CannotError(
+        raise SimfoundryError(
             "write the settled scene to the folder of the original, because mesh paths are relative to that folder"
         )
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    protect_output(out, [scene, *loaded.files()], force)
-    with progress_bar(as_json) as progress, open_world(lowered, engine) as world:
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    output.protect_output(out, [scene, *loaded.files()], force)
+    with output.progress_bar(as_json) as progress, open_world(lowered, engine) as world:
         settled = settle(world, progress=progress)
     if out is not None:
-        write_text(out, to_yaml(with_state(spec, lowered, settled.state)))
-    if as_json:
-        print_json({**settled.to_json(), "out": None if out is None else str(out)})
-    else:
-        click.echo(settle_table(settled.to_json()["objects"]))
-        if not settled.at_rest:
-            click.echo("the scene did not come to rest in time")
-        elif out is None and not settled.passed:
-            click.echo(f"to keep the settled poses: simfoundry settle {scene} -o {_beside(scene)}")
-    return DONE if settled.passed else FINDINGS
+        output.write_text(out, to_yaml(with_state(spec, lowered, settled.state)))
+    text = settle_table(settled.objects)
+    if not settled.at_rest:
+        text += "\nthe scene did not come to rest in time"
+    elif out is None and not settled.passed:
+        stem, _, rest = scene.name.partition(".")
+        settled_file = scene.with_name(f"{stem}_settled.{rest}")
+        text += f"\nto keep the settled poses: simfoundry settle {scene} -o {settled_file}"
+    output.print_result(as_json, {**settled.to_json(), "out": None if out is None else str(out)}, text)
+    return output.DONE if settled.passed else output.FINDINGS
 
 
-def _beside(scene: Path) -> Path:
-    """Return a file name for the settled scene, such as ``desk_settled.scene.yaml``."""
-    stem, _, rest = scene.name.partition(".")
-    return scene.with_name(f"{stem}_settled.{rest}")
-
-
-def settle_table(objects: list[dict[str, object]]) -> str:
+def settle_table(objects: Iterable[ObjectSettle]) -> str:
     """Return a table that shows how settling affected each object."""
     rows = [f"{'object':<22}{'penetration':>16}{'drift':>10}{'tilt':>9}  supports"]
     for o in objects:
-        depth = f"{_mm(o['penetration_before'])} -> {_mm(o['penetration_after'])} mm"
-        on = ", ".join(o["supports"]) if isinstance(o["supports"], list | tuple) else ""
-        problems = o["problems"]
-        verdict = "; ".join(problems) if isinstance(problems, list | tuple) and problems else "ok"
-        rows.append(
-            f"{o['name']!s:<22}{depth:>16}{_mm(o['drift']):>7} mm{_float(o['tilt_deg']):>5.1f} deg  {on}  [{verdict}]"
-        )
+        depth = f"{1000 * o.penetration_before:.1f} -> {1000 * o.penetration_after:.1f} mm"
+        motion = f"{1000 * o.drift:>7.1f} mm{o.tilt_deg:>5.1f} deg"
+        rows.append(f"{o.name:<22}{depth:>16}{motion}  {', '.join(o.supports)}  [{'; '.join(o.problems) or 'ok'}]")
     return "\n".join(rows)
 
 
-def _mm(value: object) -> str:
-    return f"{_float(value) * 1000:.1f}"
-
-
-def _float(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else 0.0
-
-
-@subcommand(force=True)
+@output.subcommand(force=True)
 @scene_argument
 @camera_option
 @click.option("-o", "--out", type=NEW_FOLDER, required=True, help="Write the capture to this folder.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed for the sensor noise.")
+@option("--seed", type=int, default=0, help="Seed for the sensor noise.")
 @click.option("--masks", is_flag=True, help="Also write instance masks.")
 def synthesize_command(
     scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool
@@ -168,12 +135,9 @@ def synthesize_command(
     """Render a scene as a synthetic capture: color and depth images with the noise and holes of a real sensor."""
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
 
-    loaded, spec, lowered = lower_scene(scene, as_json)
-    view = choose_camera(lowered, spec, camera)
+    loaded, spec, lowered = output.lower_scene(scene, as_json)
+    view = output.choose_camera(lowered, spec, camera)
     for name in CAPTURE_FILES:
-        protect_output(out / name, [scene, *loaded.files()], force)
+        output.protect_output(out / name, [scene, *loaded.files()], force)
     path = synthesize(lowered, view, out, seed, masks, truth=scene)
-    if as_json:
-        print_json({"capture": str(path), "camera": view.name, "seed": seed})
-    else:
-        click.echo(str(path))
+    output.print_result(as_json, {"capture": str(path), "camera": view.name, "seed": seed}, str(path))

@@ -11,17 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from simfoundry.cli.options import ANY, NEW_FILE, files_below
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    print_json,
-    progress_bar,
-    protect_output,
-    subcommand,
-    write_text,
-)
+from simfoundry.cli import output
+from simfoundry.cli.options import ANY, NEW_FILE, files_below, option
+from simfoundry.errors import SimfoundryError
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
@@ -46,38 +38,19 @@ class VerifyResults(NamedTuple):
         return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
 
 
-@subcommand(force=True)
+@output.subcommand(force=True)
 @click.argument("specs", nargs=-1, type=ANY)
-@click.option(
-    "--engine", "engines", multiple=True, metavar="NAME",
-    help="Engine in which to verify; may be repeated. Default: all engines that are found.",
-)  # fmt: skip
-@click.option("--behaviors/--no-behaviors", default=True, show_default=True, help="Also measure behaviors.")
-@click.option(
-    "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Verify this existing build instead of compiling the scene.",
-)  # fmt: skip
-@click.option(
-    "--python",
-    "pythons",
-    multiple=True,
-    metavar="[ENGINE=]PATH",
-    help="Also look for engines in this Python interpreter.",
-)
+@click.option("--engine", "engines", multiple=True, metavar="NAME",
+              help="Engine in which to verify; may be repeated. Default: all engines that are found.")  # fmt: skip
+@option("--behaviors/--no-behaviors", default=True, help="Also measure behaviors.")
+@click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
+              help="Verify this existing build instead of compiling the scene.")  # fmt: skip
+@click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH",
+              help="Also look for engines in this Python interpreter.")  # fmt: skip
 @click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
-@click.option(
-    "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
-    help="Time limit for each engine and build [s].",
-)  # fmt: skip
+@option("--timeout", type=click.FloatRange(min=1), default=180.0, help="Time limit for each engine and build [s].")
 @click.option("--html", type=NEW_FILE, help="Write an HTML report with tables and images to this file.")
-@click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Number of engines to run in parallel.",
-)
+@option("-j", "--jobs", type=click.IntRange(min=1), default=1, help="Number of engines to run in parallel.")
 def verify_command(
     specs: tuple[Path, ...], engines: tuple[str, ...], behaviors: bool, build: Path | None, pythons: tuple[str, ...],
     require: tuple[str, ...], timeout: float, html: Path | None, force: bool, jobs: int, as_json: bool,
@@ -100,30 +73,36 @@ def verify_command(
 
     paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
-        raise CannotError("--build requires exactly one scene: the scene from which the build was compiled")
+        raise SimfoundryError("--build requires exactly one scene: the scene from which the build was compiled")
     if not paths and not behaviors:
-        raise CannotError("there is nothing to verify: specify a scene, or omit --no-behaviors")
-    protect_output(html, paths, force)
+        raise SimfoundryError("there is nothing to verify: specify a scene, or omit --no-behaviors")
+    output.protect_output(html, paths, force)
     required = [find_engine(name) for name in require]
     chosen = [find_engine(name) for name in engines] or all_engines()
     wanted = {engine.name: engine for engine in (*chosen, *required)}
     found = find_installed(wanted, interpreters(pythons, wanted.values()))
     with ExitStack() as stack:
-        progress = stack.enter_context(progress_bar(as_json))
+        progress = stack.enter_context(output.progress_bar(as_json))
         subjects = _subjects(stack, paths, build, found, progress)
         if build is not None:
             found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
         verified = _verify(subjects, found, behaviors, jobs, timeout, progress)
         if html is not None:
-            _write_page(html, verified, found, subjects)
+            from simfoundry.reports.verification import page
+            from simfoundry.verify.behaviors import BEHAVIORS
+            from simfoundry.verify.tables import picture
+
+            pictures = {s.name: picture(s.scene) for s in subjects}
+            text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
+            output.write_text(html, text)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
-        print_json(_finite(_json(verified, found, wanted)))
+        output.print_json(_finite(_json(verified, found, wanted)))
     else:
         _print(verified, found, wanted)
     for name in missing:
         click.echo(f"{name} is required, but it was not found or there is no build for it", err=True)
-    return DONE if verified.ok and not missing else FINDINGS
+    return output.DONE if verified.ok and not missing else output.FINDINGS
 
 
 def _subjects(
@@ -149,7 +128,9 @@ def _subjects(
             there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
-                raise CannotError(f"{build} does not contain any of {targets}; pass the folder written by `compile -o`")
+                raise SimfoundryError(
+                    f"{build} does not contain any of {targets}; pass the folder written by `compile -o`"
+                )
             subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
@@ -178,16 +159,6 @@ def _verify(
         measure_behaviors(BEHAVIORS, here, report, jobs, timeout) if behaviors else [],
         settle_subjects(subjects, readable, report, jobs, timeout) if behaviors else [],
     )
-
-
-def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
-    from simfoundry.reports.verification import page
-    from simfoundry.verify.behaviors import BEHAVIORS
-    from simfoundry.verify.tables import picture
-
-    pictures = {s.name: picture(s.scene) for s in subjects}
-    text = page(verified.readings, verified.results, BEHAVIORS, found, pictures, verified.rested)
-    write_text(path, text)
 
 
 def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
@@ -239,7 +210,7 @@ def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEng
     click.echo(summary(readings, results, rested))
 
 
-@subcommand()
+@output.subcommand()
 def doctor_command(as_json: bool) -> int:
     """Show installed and missing components, and how to install them.
 
@@ -250,7 +221,7 @@ def doctor_command(as_json: bool) -> int:
 
     parts = examine()
     if as_json:
-        print_json({"parts": [part.to_json() for part in parts]})
+        output.print_json({"parts": [part.to_json() for part in parts]})
     else:
         for section, group in groupby(parts, lambda part: part.section):
             click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")
@@ -259,4 +230,4 @@ def doctor_command(as_json: bool) -> int:
                 click.echo(f"  {mark} {part.name:<22} {part.version:<20} {part.purpose}")
                 if not part.version:
                     click.echo(f"          {'':<22} -> {part.remedy}")
-    return FINDINGS if any(part.required and not part.version for part in parts) else DONE
+    return output.FINDINGS if any(part.required and not part.version for part in parts) else output.DONE

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,7 +33,9 @@ from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import FARTHEST
 from simfoundry.spec.models.predicate import Call, parse_call, parts
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.models.task import Start, TaskSpec, with_starts
+
+if TYPE_CHECKING:
+    from simfoundry.spec.models.task import Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +118,11 @@ def drafted_start(loaded: Loaded) -> DraftScene | None:
     Raises:
         SpecError: If lowering fails.
     """
-    if not isinstance(loaded.spec, TaskSpec):
+    if isinstance(loaded.spec, SceneSpec):
         return drafted(loaded)
+    from simfoundry.spec.models.task import TaskSpec
+
+    assert isinstance(loaded.spec, TaskSpec)
     scene = loaded.used(loaded.spec.scene)
     return None if scene is None or not isinstance(scene.spec, SceneSpec) else drafted(scene, [loaded.spec.start])
 
@@ -129,7 +134,11 @@ def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
         SpecError: If lowering fails.
     """
     assert isinstance(loaded.spec, SceneSpec)
-    spec = with_starts(loaded.spec, starts)
+    spec = loaded.spec
+    if starts:
+        from simfoundry.spec.models.task import with_starts
+
+        spec = with_starts(spec, starts)
     lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
     scene = lowering.run((*OBJECT_PASSES, lower_cameras))
     return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))

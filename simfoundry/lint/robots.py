@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.lints import Lint, Path_, Subject, warning
-from simfoundry.robots.reach import Hand, Miss, hands_of, nearest_miss
 from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds, solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.predicate import Call, Effect
 from simfoundry.spec.models.robot import RobotSpec
+
+if TYPE_CHECKING:
+    from simfoundry.robots.reach import Hand, Miss
 
 # Amount by which an object may be wider than the gripper opening [m], because openings are rounded to millimeters.
 SLACK = 0.001
@@ -67,6 +70,8 @@ TOO_WIDE = Lint("SF407", ("task/1",), too_wide)
 
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
     """Find objects that are out of reach but must be reached, either initially or in a corner of their reset region."""
+    from simfoundry.robots.reach import hands_of, nearest_miss
+
     draft, hands = subject.scene, hands_of(acting_robots(subject))
     if not hands:
         return
@@ -107,6 +112,8 @@ def _ground_distance(draft: DraftScene, hand: Hand, name: str) -> float:
 
 def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterator[Diagnostic]:
     """Yield a finding for the corner of an object's reset region that is farthest out of reach, if there is one."""
+    from simfoundry.robots.reach import nearest_miss
+
     region = subject.task.reset.objects[name]
     low, high = subject.scene.bounds[name]
     x, y, _ = subject.scene.scene.by_name[name].X_WO.p.tolist()

@@ -1,1 +1,1 @@
-"""Adapters for third-party models, each in a small module that is loaded on demand."""
+"""Clients for third-party models, each in a small module that is loaded on demand."""

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from simfoundry.errors import SimfoundryError
 
@@ -21,7 +21,7 @@ FormFile = tuple[str, tuple[str, bytes, str]]  # A file in a form: field name, t
 
 
 class ModelError(SimfoundryError):
-    """An error for a model that returned no usable response; the message states the model, the reason, and the fix."""
+    """Raised if a model returns no usable response; the message states the model, the reason, and the remedy."""
 
 
 def post(
@@ -70,14 +70,6 @@ JPEG = b"\xff\xd8\xff"
 IMAGES_URL, IMAGES_MODEL, IMAGES_KEY = "SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_IMAGES_KEY"
 
 
-class ImageEditor(Protocol):
-    """The interface of image-editing models."""
-
-    def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """Edit the first of ``pictures`` (PNG or JPEG) and return the result as a PNG; raises :class:`ModelError`."""
-        ...
-
-
 @dataclass(frozen=True)
 class HttpImages:
     """An image editor behind the OpenAI images API, ``POST {url}/images/edits``, which several servers implement.
@@ -94,7 +86,10 @@ class HttpImages:
     timeout_s: float = TIMEOUT_S
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """Return the edited image, with a transparent background."""
+        """Edit the first of ``pictures`` (PNG or JPEG), and return the result with a transparent background.
+
+        Raises :class:`ModelError` if the model did not return an image.
+        """
         if not pictures:
             raise ModelError("the image model requires an image to edit")
         fields = {"model": self.model, "prompt": prompt, "background": "transparent", "output_format": "png", "n": "1"}
@@ -144,21 +139,6 @@ GLB = b"glTF"
 SEEDS = 2**32  # Exclusive upper bound on the seeds that servers accept
 
 
-class MeshMaker(Protocol):
-    """The interface of models that generate meshes from images."""
-
-    def make(self, picture: bytes, seed: int) -> bytes:
-        """Generate a mesh from a PNG with a transparent background.
-
-        Returns:
-            A GLB with y up and arbitrary units.
-
-        Raises:
-            ModelError: The model did not return a usable mesh.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class HttpMeshes:
     """A mesh model behind the API of Hunyuan3D-2's ``api_server.py``, where ``POST {url}/generate`` returns a GLB.
@@ -176,9 +156,17 @@ class HttpMeshes:
     timeout_s: float = TIMEOUT_S
 
     def make(self, picture: bytes, seed: int) -> bytes:
-        """Generate a mesh from an image and return it as a GLB."""
-        asked = {
-            "image": base64.b64encode(picture).decode(),
+        """Generate a mesh from a PNG with a transparent background.
+
+        Returns:
+            A GLB with y up and arbitrary units.
+
+        Raises:
+            ModelError: The model did not return a usable mesh.
+        """
+        image = base64.b64encode(picture).decode()
+        fields = {
+            "image": image,
             "seed": seed % SEEDS,
             "texture": self.texture,
             "face_count": self.faces,
@@ -186,7 +174,7 @@ class HttpMeshes:
         }
         try:
             url = f"{self.url.rstrip('/')}/generate"
-            data = post(url, "the mesh model", json=asked, timeout_s=self.timeout_s)
+            data = post(url, "the mesh model", json=fields, timeout_s=self.timeout_s)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
                 hint = "; was it started with --enable_tex? If not, set `texture: false` in the recipe's `models`"

@@ -29,7 +29,7 @@ MAX_BYTES, MAX_PICTURES = 10 * 2**20, 16
 
 MAX_PROMPT = 200_000  # Maximum prompt length [characters]; about 50,000 tokens, which every current model accepts
 
-RETRIES = 2  # Number of times a model is asked to correct the format of its response
+RETRIES = 2  # Maximum number of times that a model is asked to correct the format of its response
 
 KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
 
@@ -40,7 +40,7 @@ Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class VlmError(SimfoundryError):
-    """An error for a model that returned no usable response; the message states the reason and the fix."""
+    """Raised if a model returns no usable response; the message states the reason and the remedy."""
 
 
 class Vlm:
@@ -65,7 +65,6 @@ class Vlm:
         self._settings: dict[str, Any] = {"max_tokens": max_tokens, "timeout": timeout_s}
         if temperature is not None:
             self._settings["temperature"] = temperature
-        self._timeout_s = timeout_s
 
     @property
     def name(self) -> str:
@@ -94,10 +93,10 @@ class Vlm:
 
         agent: Any = Agent(self._model, output_type=output, retries=RETRIES)
         limits = UsageLimits(request_limit=RETRIES + 1)
+        budget_s = self._settings["timeout"] * (RETRIES + 1)
+        parts = _message(prompt, pictures)
         try:
-            result = agent.run_sync(
-                _message(prompt, pictures), model_settings=self._settings, usage_limits=limits, timeout=self._budget
-            )
+            result = agent.run_sync(parts, model_settings=self._settings, usage_limits=limits, timeout=budget_s)
         except exceptions.ModelHTTPError as error:
             hint = "; is the API key correct?" if error.status_code in (401, 403) else ""
             raise VlmError(f"{self.name} returned status {error.status_code}: {_short(error.body)}{hint}") from None
@@ -110,11 +109,6 @@ class Vlm:
         except (OSError, TimeoutError) as error:
             raise VlmError(f"could not reach {self.name}: {_short(error) or 'the request timed out'}") from None
         return result.output
-
-    @property
-    def _budget(self) -> float:
-        """Return the total time limit for all attempts [s]."""
-        return self._timeout_s * (RETRIES + 1)
 
 
 def _model(model: str | Model, base_url: str | None) -> Model:
@@ -151,14 +145,10 @@ def _message(prompt: str, pictures: Sequence[bytes]) -> list[Any]:
     if len(pictures) > MAX_PICTURES or size > MAX_BYTES:
         most = f"{MAX_PICTURES} images and {MAX_BYTES / 2**20:.0f} MiB in total"
         raise VlmError(f"cannot send {len(pictures)} images of {size / 2**20:.1f} MiB; use at most {most}")
-    return [*(BinaryContent(data=data, media_type=_kind(data)) for data in pictures), prompt]
-
-
-def _kind(data: bytes) -> str:
-    for start, kind in KINDS:
-        if data.startswith(start):
-            return kind
-    raise VlmError("images for a model must be PNG or JPEG")
+    kinds = [next((kind for start, kind in KINDS if data.startswith(start)), "") for data in pictures]
+    if not all(kinds):
+        raise VlmError("images for a model must be PNG or JPEG")
+    return [*(BinaryContent(data=data, media_type=kind) for data, kind in zip(pictures, kinds, strict=True)), prompt]
 
 
 def _short(what: object) -> str:

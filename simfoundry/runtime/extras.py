@@ -1,4 +1,4 @@
-"""Optional dependencies: the purpose and packages of each extra, and the command to install it."""
+"""Optional dependencies of SimFoundry, and the commands that install them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from types import MappingProxyType
 
 from simfoundry.errors import SimfoundryError
 
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional dependency group of this package.
+    """An optional dependency group of SimFoundry.
 
-    ``packages`` maps each distribution that it installs to the name of its importable module.
+    ``packages`` maps each distribution in the group to the name of its importable module.
     """
 
     name: str
@@ -38,40 +37,31 @@ def is_installed(module: str) -> bool:
         return False
 
 
-def _extra(name: str, purpose: str, **packages: str) -> tuple[str, Extra]:
-    return name, Extra(name, purpose, {key.replace("_", "-"): module for key, module in packages.items()})
-
-
-# The extras of pyproject.toml, most useful first; a test compares the two.
-EXTRAS: Mapping[str, Extra] = MappingProxyType(
-    dict(
-        (
-            _extra("expert", "the scripted expert (`-p expert`) and reachability checks using inverse kinematics",
-                   mink="mink", qpsolvers="qpsolvers", daqp="daqp"),
-            _extra("robots", "known robots except `demo_arm`; each is downloaded on first use",
-                   mujoco_menagerie="mujoco_menagerie"),
-            _extra("pybullet", "PyBullet worlds (not required for compiling to PyBullet)", pybullet="pybullet"),
-            _extra("policies", "policies served over a network (`eval -p policy.yaml`)",
-                   msgpack="msgpack", pyzmq="zmq", websockets="websockets"),
-            _extra("gymnasium", "tasks as Gymnasium environments", gymnasium="gymnasium"),
-            _extra("vlm", "vision-language models that propose tasks and variants",
-                   pydantic_ai_slim="pydantic_ai"),
-            _extra("ray", "cousins on a cluster (`cousins --on ray`)", ray="ray"),
-            _extra("drake", "verification of builds in Drake (`verify`)", drake="pydrake"),
-            _extra("newton", "verification of builds in Newton (`verify`)", newton="newton"),
-            _extra("genesis", "verification of builds in Genesis (`verify`)", genesis_world="genesis", torch="torch"),
-            _extra("sapien", "verification of builds in SAPIEN (`verify`)", sapien="sapien"),
-        )
-    )
-)  # fmt: skip
+# The extras in pyproject.toml, starting with the most useful one; a test compares the two lists.
+EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in (
+    Extra("expert", "the scripted expert (`-p expert`) and reachability checks using inverse kinematics",
+          {"mink": "mink", "qpsolvers": "qpsolvers", "daqp": "daqp"}),
+    Extra("robots", "known robots except `demo_arm`; each is downloaded on first use",
+          {"mujoco-menagerie": "mujoco_menagerie"}),
+    Extra("pybullet", "PyBullet worlds (not required for compiling to PyBullet)", {"pybullet": "pybullet"}),
+    Extra("policies", "policies served over a network (`eval -p policy.yaml`)",
+          {"msgpack": "msgpack", "pyzmq": "zmq", "websockets": "websockets"}),
+    Extra("gymnasium", "tasks as Gymnasium environments", {"gymnasium": "gymnasium"}),
+    Extra("vlm", "vision-language models that propose tasks and variants", {"pydantic-ai-slim": "pydantic_ai"}),
+    Extra("ray", "cousins on a cluster (`cousins --on ray`)", {"ray": "ray"}),
+    Extra("drake", "verification of builds in Drake (`verify`)", {"drake": "pydrake"}),
+    Extra("newton", "verification of builds in Newton (`verify`)", {"newton": "newton"}),
+    Extra("genesis", "verification of builds in Genesis (`verify`)", {"genesis-world": "genesis", "torch": "torch"}),
+    Extra("sapien", "verification of builds in SAPIEN (`verify`)", {"sapien": "sapien"}),
+)}  # fmt: skip
 
 
 class MissingExtraError(SimfoundryError):
-    """An error for missing optional packages; the message names the feature and the install command."""
+    """Raised if optional packages are missing; the message names the feature and the install command."""
 
 
 def need_extra(extra: str, what: str) -> None:
-    """Raise :class:`MissingExtraError` if packages in an extra, which the feature ``what`` requires, are missing."""
+    """Raise :class:`MissingExtraError` if the feature ``what`` requires an extra that is not fully installed."""
     missing = EXTRAS[extra].missing
     if missing:
         raise MissingExtraError(f"{what} requires {', '.join(missing)}; install with `{install_line(extra)}`")
@@ -86,4 +76,4 @@ def how_to_install(module: str) -> str:
 
 def install_line(extra: str) -> str:
     """Return the command that installs an extra."""
-    return f"pip install 'simfoundry[{EXTRAS[extra].name}]'"
+    return f"pip install 'simfoundry[{extra}]'"

@@ -14,14 +14,14 @@ R = TypeVar("R")
 
 SERIAL_TRIAL = 32  # Number of inputs processed serially before estimating the remaining time; gives a stable mean
 
-# Minimum remaining work [s] that justifies starting processes; startup and imports take about 0.5 s.
+# Minimum amount of remaining work [s] that justifies starting processes, whose startup takes about 0.5 s.
 STARTUP_S = 2.0
 
 MAX_PROCESSES = 8  # Default maximum number of processes; with more, memory becomes the bottleneck
 
 MAX_CHUNK = 32  # Maximum number of inputs per call, so that progress is reported regularly
 
-SILENCE_S = 600.0  # Time limit for a chunk [s], far longer than any valid document takes
+SILENCE_S = 600.0  # Time limit for a chunk [s], far more than valid documents take
 
 
 def map_parallel(

@@ -13,20 +13,17 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+from pkgutil import resolve_name
 from types import ModuleType
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from typing import Generic, TypeVar, cast
 
 from simfoundry.errors import SimfoundryError
 
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
 T = TypeVar("T")
 
-# The entry point groups, each with the kind of extension that it contains.
+# The entry point groups, each with the kind of extension that it contains, as used in messages.
 GROUPS: Mapping[str, str] = {
     "simfoundry.backends": "backend",
     "simfoundry.importers": "importer",
@@ -39,11 +36,11 @@ GROUPS: Mapping[str, str] = {
 
 
 class UnknownExtensionError(SimfoundryError):
-    """An error for an unknown extension name; the message lists the available names."""
+    """Raised for an unknown extension; the message lists the available names."""
 
 
 class PluginError(SimfoundryError):
-    """An error for a plug-in that cannot be loaded; the message names its package and the cause."""
+    """Raised for a plug-in that cannot be loaded; the message states its package and the cause."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +60,19 @@ class Plugin:
     def load(self) -> object:
         """Import the object that the entry point refers to."""
         self._check_unique()
-        module, _, attributes = self.value.partition(":")
         try:
-            found: object = import_module(module)
-            for attribute in filter(None, attributes.split(".")):
-                found = getattr(found, attribute)
+            return resolve_name(self.value)
         except SimfoundryError:
             raise
         except Exception as error:  # importing a third-party module may raise any exception
             raise self.error(f"{type(error).__name__}: {error}") from error
-        return found
 
     def folder(self) -> Path:
         """Return the folder of the package that the entry point refers to; targets and robots require a folder."""
-        from importlib.util import find_spec
-
         self._check_unique()
         try:
             spec = find_spec(self.value)
-        except Exception as error:  # finding it imports the parent package
+        except Exception as error:  # finding the package imports its parent, which may raise any exception
             raise self.error(f"{type(error).__name__}: {error}") from error
         places = list(spec.submodule_search_locations or ()) if spec is not None else []
         if not places:
@@ -115,11 +106,6 @@ class Registry(Generic[T]):
     built_in: Mapping[str, str]
     kind: type[T] | None = field(default=None, compare=False)
 
-    @property
-    def noun(self) -> str:
-        """The kind of extension as a noun phrase for messages."""
-        return GROUPS[self.group]
-
     def names(self) -> list[str]:
         """Return all names: the built-in names in the order of definition, then the sorted names of plug-ins."""
         return [*self.built_in, *(name for name in plugins(self.group) if name not in self.built_in)]
@@ -139,12 +125,11 @@ class Registry(Generic[T]):
             PluginError: The plug-in cannot be loaded.
         """
         if name in self.built_in:
-            module, _, attribute = self.built_in[name].partition(":")
-            return cast(T, getattr(import_module(module), attribute))
+            return cast(T, resolve_name(self.built_in[name]))
         plugin = self.plugin(name)
         if plugin is None:
             known = ", ".join(f"`{known}`" for known in self.names())
-            raise UnknownExtensionError(f"no {self.noun} is called `{name}`; available: {known}")
+            raise UnknownExtensionError(f"no {GROUPS[self.group]} is called `{name}`; available: {known}")
         found = plugin.load()
         if self.kind is not None and not isinstance(found, self.kind):
             raise plugin.error(f"`{plugin.value}` is a {type(found).__name__}, not a {self.kind.__name__}")
@@ -168,13 +153,9 @@ def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: A
     found: dict[str, Plugin] = {}
     for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
         rival = found[entry.name].distribution if entry.name in found else ""
-        found[entry.name] = Plugin(entry.name, group, entry.value, _distribution(entry), rival)
+        package = f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "of unknown name"
+        found[entry.name] = Plugin(entry.name, group, entry.value, package, rival)
     return found
-
-
-def _distribution(entry: EntryPoint) -> str:
-    """Return the name and version of the package that provides an entry point."""
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "of unknown name"
 
 
 def import_file(path: Path, place: Path | None = None) -> ModuleType:

@@ -1,4 +1,4 @@
-"""Subprocess workers, which turn a crash, hang or memory exhaustion in a native library into an error message.
+"""Worker processes, which turn a crash, hang or memory exhaustion in a native library into an error message.
 
 A :class:`Worker` calls module-level functions by name. Its process is started on the first call, handles many calls,
 and is restarted after a failure. Output from the functions is written to a log, whose last line is quoted if a call
@@ -23,8 +23,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import IO, Any
 
 from simfoundry.errors import SimfoundryError
@@ -41,7 +41,7 @@ _LENGTH = 8  # Size of the length field before each message [bytes]
 
 
 class WorkerError(SimfoundryError):
-    """An error for a failed call; ``how`` describes how it failed, and ``doing`` is its last progress report."""
+    """Raised for a failed call; ``how`` describes the failure, and ``doing`` is the last progress report."""
 
     def __init__(self, how: str, doing: str = "") -> None:
         super().__init__(how)
@@ -160,15 +160,33 @@ class Worker:
         raise WorkerError(how, last)
 
     def _start(self) -> None:
+        """Start the process in a thread that forwards its responses, and sends None when it exits.
+
+        The thread must live as long as the process, because on Linux the process dies with the thread that started it.
+        """
         path = os.pathsep.join(dict.fromkeys(str(Path(p).absolute()) for p in sys.path))  # "" means the current folder
-        limits = [str(os.getpid()), str(self.limits.memory)]
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115
-        self._answers = queue.SimpleQueue()
+        environment = {**os.environ, "PYTHONPATH": path}
+        command = [sys.executable, "-P", "-c", _START, str(os.getpid()), str(self.limits.memory)]
         self._owner = os.getpid()
+        log = self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        answers = self._answers = queue.SimpleQueue()
         started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError] = queue.SimpleQueue()
-        command = [sys.executable, "-P", "-c", _START, *limits]
-        arguments = (command, {**os.environ, "PYTHONPATH": path}, self._log, started, self._answers)
-        threading.Thread(target=_run, args=arguments, daemon=True).start()
+
+        def run() -> None:
+            pipe = subprocess.PIPE
+            try:
+                process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=log, env=environment)
+            except OSError as error:
+                started.put(error)
+                return
+            started.put(process)
+            assert process.stdout is not None
+            with process.stdout as stream:
+                while len(head := stream.read(_LENGTH)) == _LENGTH:
+                    answers.put(stream.read(int.from_bytes(head, "little")))
+            answers.put(None)
+
+        threading.Thread(target=run, daemon=True).start()
         process = started.get()
         if isinstance(process, OSError):
             raise WorkerError(f"could not be started ({process})")
@@ -183,39 +201,9 @@ class Worker:
         return f"; its last output was: {lines[-1][:200]}" if lines else ""
 
 
-def _run(
-    command: list[str],
-    environment: dict[str, str],
-    log: IO[bytes],
-    started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError],
-    answers: queue.SimpleQueue[bytes | None],
-) -> None:
-    """Start a process, forward its responses, and send None when it exits.
-
-    The thread that starts the process must live as long as the process, because on Linux the process dies with the
-    thread.
-    """
-    try:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment)
-    except OSError as error:
-        started.put(error)
-        return
-    started.put(process)
-    assert process.stdout is not None
-    with process.stdout as stream:
-        while len(head := stream.read(_LENGTH)) == _LENGTH:
-            message = stream.read(int.from_bytes(head, "little"))
-            answers.put(message)
-    answers.put(None)
-
-
 def _ending(code: int) -> str:
-    if code >= 0:
-        return f"exited with code {code}"
-    try:
-        return f"crashed ({signal.Signals(-code).name})"
-    except ValueError:
-        return f"crashed (signal {-code})"
+    name = next((known.name for known in signal.Signals if known == -code), f"signal {-code}")
+    return f"exited with code {code}" if code >= 0 else f"crashed ({name})"
 
 
 _send_message: Callable[[str, Any], None] | None = None  # Sends a message to the calling process; None outside a worker
@@ -232,8 +220,8 @@ def report_progress(text: str) -> None:
 def at_worker_exit(function: Callable[[], object]) -> None:
     """Register a function that runs when this worker shuts down, before the interpreter's own exit functions.
 
-    MuJoCo's ``atexit`` function terminates the GL driver before functions registered earlier run, but worlds must be
-    closed before that.
+    Functions registered with ``atexit`` would run too late, because MuJoCo registers a function there that terminates
+    the GL driver, and worlds must be closed before that.
     """
     if function not in _exit_functions:
         _exit_functions.append(function)
@@ -257,20 +245,13 @@ def serve() -> None:
     while len(head := calls.read(_LENGTH)) == _LENGTH:
         function, arguments = pickle.loads(calls.read(int.from_bytes(head, "little")))
         try:
-            send("done", _resolve(function)(*arguments))
+            send("done", resolve_name(function)(*arguments))
         except MemoryError:
             send("raised", f"exceeded its memory limit of {memory / 2**30:.3g} GiB")
         except Exception as error:
             send("raised", f"failed ({type(error).__name__}: {error})")
     for at_exit in _exit_functions:
         at_exit()
-
-
-def _resolve(function: str) -> Callable[..., Any]:
-    """Return the function at ``module:function``."""
-    module, name = function.split(":")
-    found: Callable[..., Any] = getattr(import_module(module), name)
-    return found
 
 
 def _confine(parent: int, memory: int) -> None:

@@ -34,7 +34,6 @@ from simfoundry.spec.files import Loaded, is_document
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.predicate import parse_call
 from simfoundry.spec.models.scene import CameraSpec, LightSpec, Place, SceneSpec
-from simfoundry.spec.yaml.write import to_data
 
 
 @dataclass
@@ -263,6 +262,8 @@ def lower_surroundings(lowering: Lowering, scene: Scene) -> Scene:
 
 def keep_source(lowering: Lowering, scene: Scene) -> Scene:
     """Keep the document and its relations, for evaluating the scene and for targets that embed the document."""
+    from simfoundry.spec.yaml.write import to_data  # not needed by lints
+
     relations = tuple(Relation(c.predicate, c.args) for c in map(parse_call, lowering.spec.relations))
     source = Source.of(_file_in_project(lowering.loaded), to_data(lowering.spec))
     return replace(scene, relations=relations, source=source)

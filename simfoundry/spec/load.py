@@ -13,7 +13,6 @@ from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.files import FileError, Loaded, reachable
 from simfoundry.spec.models.kinds import KINDS, model_of, suffix
-from simfoundry.spec.models.types import RIVALS, file_patterns, is_mapping, models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.nodes import Node, YamlError
 from simfoundry.spec.yaml.text import Document, Path_, parse, read
@@ -51,8 +50,6 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
         return Loaded(path, root, None, (*document.duplicates, finding), document)
     findings, bases = list[Diagnostic](), list[Path]()
     if isinstance(document.root.children, dict) and "extends" in document.root.children:
-        from simfoundry.spec.load import compose
-
         document, findings, bases = compose(document, kind, root)
     if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of the content
         return Loaded(path, root, None, tuple(findings), document, tuple(bases))
@@ -238,6 +235,8 @@ class _Joining:
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
         """Return the keys that ``key`` replaces; the result is empty for named mappings."""
+        from simfoundry.spec.models.types import RIVALS, is_mapping, models_at
+
         rivals = sorted(RIVALS.get(key, set()) & children.keys())
         if rivals:
             models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
@@ -262,6 +261,8 @@ def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return
+    from simfoundry.spec.models.types import file_patterns
+
     step = PurePosixPath(Path(os.path.relpath(here, there)).as_posix())
     for pattern in file_patterns(model_of(kind)):
         if pattern != ("extends",):

@@ -1,2 +1,4 @@
-"""Targets, which are simulators described as data. A profile names a backend and describes how the simulator interprets
-its files."""
+"""Targets, which are simulators described as data.
+
+A profile names a backend and describes how the simulator interprets the files.
+"""

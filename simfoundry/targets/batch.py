@@ -24,7 +24,7 @@ COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 
 @dataclass(frozen=True)
 class CompileJob:
-    """A scene document to compile, its targets, and the build folder."""
+    """A scene document to compile, the targets, and the build folder."""
 
     scene: Path
     targets: tuple[str, ...]
@@ -34,10 +34,16 @@ class CompileJob:
 
 @dataclass(frozen=True)
 class CompileOutcome:
-    """The outcome of a job: its ``state``, the entry file by target, the losses, and the error if it failed.
+    """The outcome of a job.
 
-    ``losses`` contains the number of approximated and dropped features by target. ``error`` is a sentence, and
-    ``findings`` are the diagnostics of the documents.
+    Attributes:
+        scene: The path of the scene document.
+        out: The build folder.
+        state: Either ``compiled``, ``up to date`` or ``failed``.
+        targets: The entry file of each target.
+        losses: The number of losses in each target.
+        error: A sentence that explains the failure, if any.
+        findings: The diagnostics for the documents.
     """
 
     scene: str
@@ -65,31 +71,31 @@ def compile_all(
 
     ``report`` is called from any thread with the current activity and the number of completed jobs. If a process
     crashes, hangs or runs out of memory, its job fails with an error that names the last activity, and a new process
-    replaces it.
+    replaces the failed one.
     """
     outcomes: dict[int, CompileOutcome] = {}
-    size = min(workers, len(jobs))
-    pool = WorkerPool(
-        size,
-        limits or Limits.shared(SILENCE_S, workers),
-        lambda k, text: report(f"{jobs[k].scene.name}: {text}", len(outcomes)),
-    )
+
+    def started(k: int, activity: str) -> None:
+        report(f"{jobs[k].scene.name}: {activity}", len(outcomes))
+
+    pool = WorkerPool(min(workers, len(jobs)), limits or Limits.shared(SILENCE_S, workers), started)
     try:
         for k, job in enumerate(jobs):
             pool.submit(k, function, job)
         for _ in jobs:
             k, result = pool.next()
-            outcomes[k] = _failure(jobs[k], result) if isinstance(result, WorkerError) else result
+            if isinstance(result, WorkerError):
+                during = f", while processing {result.doing}" if result.doing else ""
+                result = _failure(jobs[k], f"its process {result.how}{during}")
+            outcomes[k] = result
             report(jobs[k].scene.name, len(outcomes))
     finally:
         pool.close()
     return [outcomes[k] for k in range(len(jobs))]
 
 
-def _failure(job: CompileJob, error: WorkerError) -> CompileOutcome:
-    """Return the outcome for a job whose process failed."""
-    during = f", while processing {error.doing}" if error.doing else ""
-    return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
+def _failure(job: CompileJob, error: str = "", findings: Sequence[Diagnostic] = ()) -> CompileOutcome:
+    return CompileOutcome(str(job.scene), str(job.out), FAILED, error=error, findings=tuple(findings))
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
@@ -103,7 +109,6 @@ def compile_job(job: CompileJob) -> CompileOutcome:
     from simfoundry.targets.build import TargetsError, build, is_current
     from simfoundry.targets.find import find_target
 
-    failed = CompileOutcome(str(job.scene), str(job.out), FAILED)
     try:
         report_progress("its documents")
         loaded = load_scene(job.scene)
@@ -116,13 +121,11 @@ def compile_job(job: CompileJob) -> CompileOutcome:
     except TargetsError as error:
         return replace(_outcome(job, FAILED, error.artifacts), error=str(error))
     except SpecError as error:
-        return CompileOutcome(failed.scene, failed.out, FAILED, findings=tuple(error.diagnostics))
+        return _failure(job, findings=error.diagnostics)
     except SimfoundryError as error:
-        return CompileOutcome(failed.scene, failed.out, FAILED, error=str(error))
+        return _failure(job, str(error))
     except OSError as error:
-        return CompileOutcome(
-            failed.scene, failed.out, FAILED, error=f"{error.filename or 'a file'}: {error.strerror or error}"
-        )
+        return _failure(job, f"{error.filename or 'a file'}: {error.strerror or error}")
     return _outcome(job, COMPILED, artifacts)
 
 
@@ -146,20 +149,17 @@ def _read_back(job: CompileJob) -> CompileOutcome:
     from simfoundry.targets.build import LOSSES, MANIFEST
 
     losses = json.loads((job.out / LOSSES).read_bytes())
-    entries = {target: json.loads((job.out / target / MANIFEST).read_bytes())["entry"] for target in losses}
-    return CompileOutcome(
-        str(job.scene),
-        str(job.out),
-        CURRENT,
-        {target: str(job.out / target / entry) for target, entry in entries.items()},
-        {target: len(found["losses"]) for target, found in losses.items()},
-    )
+    folders = {target: job.out / target for target in losses}
+    entries = {t: str(f / json.loads((f / MANIFEST).read_bytes())["entry"]) for t, f in folders.items()}
+    counts = {target: len(found["losses"]) for target, found in losses.items()}
+    return CompileOutcome(str(job.scene), str(job.out), CURRENT, entries, counts)
 
 
 def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[CompileJob]:
-    """Yield a job for each scene document in ``paths`` and its subfolders; builds preserve the folder structure.
+    """Yield a job for each path in ``paths``, or for each scene document in the folder and its subfolders.
 
-    The contents of ``out``, and files and folders whose names start with a dot, are skipped.
+    Builds preserve the folder structure. The contents of ``out``, and files and folders whose names start with a dot,
+    are skipped.
     """
     for path in paths:
         if not path.is_dir():

@@ -97,16 +97,12 @@ def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifac
         except ModuleNotFoundError as error:
             failures[target.name] = f"{error.name} is not installed; `simfoundry doctor` shows how to install it"
         except Exception as error:  # a failing backend must not affect the other targets
-            failures[target.name] = _unforeseen(error)
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            said = " ".join(f"{type(error).__name__}: {error}".split())
+            where = f"{Path(frame.filename).name}:{frame.lineno}"
+            reason = f"its backend failed unexpectedly ({said}, at {where}); please report this with the scene"
+            failures[target.name] = reason
     return artifacts, failures
-
-
-def _unforeseen(error: Exception) -> str:
-    """Describe an internal error in one sentence that includes the line of code to report."""
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    said = " ".join(f"{type(error).__name__}: {error}".split())
-    where = f"{Path(frame.filename).name}:{frame.lineno}"
-    return f"its backend failed unexpectedly ({said}, at {where}); please report this with the scene"
 
 
 def is_current(out: Path, record: Mapping[str, object]) -> bool:
@@ -145,15 +141,9 @@ def _ensure_ours(folder: Path) -> None:
         entry = folder / str(manifest["entry"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         written, entry = {}, folder
-    keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if _is_stage(entry) else ""
+    is_stage = entry.suffix in (".usd", ".usda", ".usdc")
+    keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if is_stage else ""
     ensure_folder_replaceable(folder, written, MANIFEST, keeps)
-
-
-def _is_stage(entry: Path) -> bool:
-    return entry.suffix in (".usd", ".usda", ".usdc")
-
-
-Fates = Mapping[str, Mapping[str, int]]
 
 
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
@@ -163,24 +153,14 @@ def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     dropped. ``losses`` lists every :class:`~simfoundry.backends.features.Loss` with its fields.
     """
     return {
-        artifact.target: {
-            "features": count_fates(scene, artifact.losses),
-            "losses": [_loss(loss) for loss in artifact.losses],
-        }
-        for artifact in artifacts
+        a.target: {"features": count_fates(scene, a.losses), "losses": [_loss(loss) for loss in a.losses]}
+        for a in artifacts
     }
 
 
 def _loss(loss: Loss) -> dict[str, Any]:
-    size = None if loss.size is None else {"value": loss.size.value, "unit": loss.size.unit}
-    return {
-        "path": loss.path,
-        "feature": loss.feature,
-        "element": loss.element,
-        "fidelity": loss.fidelity.value,
-        "size": size,
-        "reason": loss.reason,
-    }
+    data = {name: getattr(loss, name) for name in ("path", "feature", "element", "fidelity", "size", "reason")}
+    return data | {"size": None if loss.size is None else loss.size._asdict()}
 
 
 def table(data: Mapping[str, Any]) -> list[str]:
@@ -188,7 +168,7 @@ def table(data: Mapping[str, Any]) -> list[str]:
 
     ``~`` means approximated and ``-`` means dropped. The last line counts the features that all targets preserve.
     """
-    fields: dict[str, Fates] = {target: entry["features"] for target, entry in data.items()}
+    fields: dict[str, Mapping[str, Mapping[str, int]]] = {target: entry["features"] for target, entry in data.items()}
     names = list(dict.fromkeys(name for found in fields.values() for name in found))
     lossy = [name for name in names if any(set(found.get(name, ())) - {"kept"} for found in fields.values())]
     kept = len(names) - len(lossy)
@@ -196,7 +176,7 @@ def table(data: Mapping[str, Any]) -> list[str]:
     if not lossy:
         return [last]
     rows = [["not kept", *fields], *([name, *(_mark(f.get(name, {})) for f in fields.values())] for name in lossy)]
-    return [*_aligned(rows), last]
+    return [*aligned(rows), last]
 
 
 def _mark(found: Mapping[str, int]) -> str:
@@ -204,6 +184,8 @@ def _mark(found: Mapping[str, int]) -> str:
     return " ".join(parts)
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+def aligned(rows: Sequence[Sequence[str]], align: str = "<") -> list[str]:
+    """Format the rows of a table as lines; ``align`` is ``<`` or ``>`` and applies to all columns but the first."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    forms = ["<", *align * (len(widths) - 1)]
+    return ["  ".join(map("{:{}{}}".format, row, forms, widths)).rstrip() for row in rows]

@@ -1,4 +1,4 @@
-"""Compilation of a scene for a target, which combines a backend's files with a simulator's loader and their losses."""
+"""Compilation of a scene for a target, which combines a backend's files with a simulator's loader."""
 
 from __future__ import annotations
 
@@ -15,13 +15,23 @@ from simfoundry.scene.model import Scene
 from simfoundry.targets.find import Target
 
 if TYPE_CHECKING:
-    from simfoundry.targets.profile import Combines, TargetSpec
+    from simfoundry.targets.profile import Combines
 
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
     """Compile ``scene`` for ``target``, including the losses of both the backend and the simulator."""
     artifact, profile = target_files(scene, target), target.profile
-    return replace(artifact, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+    # The loader restores some losses of the backend, but not what lowering omitted.
+    absent = {part.path for part in scene.left_out}
+    combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
+    restated = profile.restores.keys() | combined | profile.gaps.keys()
+    left = [loss for loss in artifact.losses if loss.element in absent or loss.feature not in restated]
+    gaps = [
+        Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
+        for name, gap in profile.gaps.items()
+        if any(FEATURES[name].users(scene))
+    ]
+    return replace(artifact, losses=(*left, *pair_losses(scene, profile.combines, profile.name), *gaps))
 
 
 def target_files(scene: Scene, target: Target) -> Artifact:
@@ -36,26 +46,6 @@ def target_files(scene: Scene, target: Target) -> Artifact:
 
         files |= WRITERS[name](scene)
     return replace(artifact, files=files)
-
-
-def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Yield the backend losses that the loader does not restore, which include everything that lowering omitted."""
-    absent = {part.path for part in scene.left_out}
-    combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
-    told = profile.restores.keys() | combined | profile.gaps.keys()
-    for loss in artifact.losses:
-        if loss.element in absent or loss.feature not in told:
-            yield loss
-
-
-def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Yield the simulator's own losses for the features that the scene uses."""
-    from simfoundry.targets.compile import pair_losses
-
-    yield from pair_losses(scene, profile.combines, profile.name)
-    for name, gap in profile.gaps.items():
-        if any(FEATURES[name].users(scene)):
-            yield Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")
 
 
 RULES: dict[str, tuple[str, Callable[[float, float], float]]] = {
@@ -79,13 +69,11 @@ def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Lo
 
 
 def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:
-    """Return the pair of coefficients with the largest error, its intended and its actual combined value.
+    """Return the pair of coefficients with the largest error, followed by the intended and the actual combined value.
 
     Returns None if the two combined values never differ.
     """
-    values: set[tuple[str, float]] = set()
-    for item in scene.objects:
-        values |= {(item.name, float(getattr(c, field))) for link in item.links for c in link.colliders}
+    values = {(o.name, float(getattr(c, field))) for o in scene.objects for link in o.links for c in link.colliders}
     met = {(a, b) if a <= b else (b, a) for (one, a), (two, b) in combinations(sorted(values), 2) if one != two}
     pairs = [(a, b, math.sqrt(a * b), rule(a, b)) for a, b in sorted(met)]
     off = [p for p in pairs if abs(p[3] - p[2]) > 1e-9]

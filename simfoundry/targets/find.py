@@ -1,4 +1,4 @@
-"""Lookup of targets by name or path: plain backends, built-in targets, and targets of packages and users."""
+"""Lookup of targets by name or path: plain backends, built-in targets, and targets from packages and users."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class UnknownTargetError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Target:
-    """A format or simulator for which scenes are compiled, with its profile, and the folder of its other files."""
+    """A format or simulator for which scenes are compiled: its profile and the folder with its other files."""
 
     profile: TargetSpec
     folder: Path | None = None
@@ -108,14 +108,13 @@ def find_target(name: str) -> Target:
 
 
 def _plain(backend: str) -> Target:
-    """Return the target for a backend that has no target folder, whose files are used without a profile."""
-    from simfoundry.targets.profile import TargetSpec, Tested
+    """Return the target for a backend that has no target folder; its files are used without a profile."""
+    from simfoundry.targets.profile import TargetSpec
 
-    description = "the plain files of the backend"
-    tested = Tested(how="checked", note="by the package that provides the backend")
-    return Target(
-        TargetSpec(simfoundry="target/1", name=backend, description=description, backend=backend, tested=tested)
-    )
+    data = {"simfoundry": "target/1", "name": backend, "backend": backend}
+    data["description"] = "the plain files of the backend"
+    tested = {"how": "checked", "note": "by the package that provides the backend"}
+    return Target(TargetSpec.model_validate({**data, "tested": tested}))
 
 
 def read_profile(path: Path) -> Target:
@@ -159,22 +158,20 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
             if name in options and not isinstance(value, type(options[name])):
                 message = f"expected {_KINDS[type(options[name])]}, such as `{options[name]}`"
                 yield document.finding("SF103", ("options", name), message)
-    for key in ("restores", "gaps"):
+    names = {"restores": (FEATURES, "feature"), "gaps": (FEATURES, "feature"), "behaviors": (BEHAVIORS, "behavior")}
+    names["tolerances"] = (READ_BACK, *QUANTITIES, *BEHAVIORS), "quantity or behavior"
+    for key, (choices, what) in names.items():
         for name in getattr(spec, key):
-            yield from known(name, FEATURES, (key, name), "feature")
-    for name in spec.behaviors:
-        yield from known(name, BEHAVIORS, ("behaviors", name), "behavior")
-    for name in spec.tolerances:
-        yield from known(name, (READ_BACK, *QUANTITIES, *BEHAVIORS), ("tolerances", name), "quantity or behavior")
+            yield from known(name, choices, (key, name), what)
     folder = path.parent.resolve()
     if spec.loader is not None:
         loader = (folder / spec.loader).resolve()
         if not (loader.is_relative_to(folder) and loader.is_file()):
-            hint = "the loader must be beside the profile"
-            yield document.finding("SF203", ("loader",), f"there is no file `{spec.loader}`", hint)
+            hint = "the loader must be in the same folder as the profile"
+            yield document.finding("SF203", ("loader",), f"file `{spec.loader}` does not exist", hint)
     if spec.engine is not None and not (whole and (folder / READBACK).is_file()):
         hint = "an engine requires a read-back module with this name next to `profile.yaml`"
-        yield document.finding("SF203", ("engine",), f"there is no file `{READBACK}`", hint)
+        yield document.finding("SF203", ("engine",), f"file `{READBACK}` does not exist", hint)
     if spec.engine is None and spec.tolerances:
         hint = "add an engine for reading builds back under `engine`, or remove the tolerances"
         yield document.finding("SF107", ("tolerances",), "tolerances have no effect without an `engine`", hint)

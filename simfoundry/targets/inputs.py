@@ -100,7 +100,7 @@ def _references(spec: object) -> Iterator[str]:
 
 
 def _named(path: Path, root: Path) -> str:
-    """Return the path relative to the project, or to site-packages for a file in an installed package."""
+    """Return the path relative to the project, or relative to site-packages for a file in an installed package."""
     resolved = path.resolve()
     if resolved.is_relative_to(root):
         return resolved.relative_to(root).as_posix()

@@ -1,4 +1,4 @@
-"""The document type ``target/1``, which describes a simulator: its backend, known gaps, and settings for `verify`."""
+"""The document type ``target/1``, which describes a simulator: its backend, known gaps, and settings for ``verify``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from simfoundry.spec.models.base import Model, Name, Positive
 Words = Annotated[str, StringConstraints(min_length=3, max_length=240)]
 Combine = Literal["average", "harmonic", "maximum", "minimum", "multiply"]
 EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)]
+ClassPath = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
+Writes = Literal["objects", "environment", "omnigibson"]
 PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
 
 # The key of the tolerance for quantities that do not have their own tolerance.
@@ -46,7 +48,7 @@ class Gap(Model):
 
 
 class Band(Model):
-    """A behavior in `simfoundry verify` for which this simulator is known to deviate from the analytic value."""
+    """The accepted range of a behavior for which the simulator is known to deviate from the analytic value."""
 
     low: float = Field(description="The smallest accepted value, in the unit of the behavior.")
     high: float = Field(description="The largest accepted value.")
@@ -56,9 +58,7 @@ class Band(Model):
 class Tolerance(Model):
     """The largest error that `simfoundry verify` accepts, and the reason for it."""
 
-    value: Positive = Field(
-        description="Relative for quantities that are read back; in the behavior's unit for behaviors."
-    )
+    value: Positive = Field(description="Relative for a quantity that is read back; in the behavior's unit otherwise.")
     reason: Words = Field(description="The reason why the tolerance is not smaller.")
 
 
@@ -82,52 +82,45 @@ class Combines(Model):
 class EngineSpec(Model):
     """The settings with which `simfoundry verify` runs the simulator, using the `readback.py` next to the profile."""
 
-    name: EngineName | None = Field(
-        None, description="Its name for `-e` and in tables; defaults to the name of the target."
-    )
+    name: EngineName | None = Field(None, description="The name for `-e` and in tables; defaults to the target's name.")
     family: EngineName | None = Field(
-        None, description="The name in `--python FAMILY=PATH` for all engines in a package; defaults to its name."
+        None, description="The name in `--python FAMILY=PATH` for all engines in a package; defaults to `name`."
     )
     modules: dict[PythonName, str] = Field(
         min_length=1, description="The required modules and the distributions that provide them, with the engine first."
     )
     install: Words = Field(description="The command that installs the required modules.")
     note: Words = Field(description="The solver that steps the build.")
-    steps: bool = Field(True, description="False if it can only load builds but not simulate them.")
+    steps: bool = Field(True, description="False if the engine can load builds but cannot simulate them.")
 
 
 class TargetSpec(Model):
     """A simulator for which scenes can be compiled."""
 
     simfoundry: Literal["target/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(
-        description="Its name for `-t` and its folder name in a build; must match the name of the profile's folder."
-    )
+    name: Name = Field(description="The name for `-t` and for the folder in a build; must match the profile's folder.")
     description: Words = Field(description="A one-line description.")
     backend: Name = Field(description="The backend that writes the files: `mjcf`, `pybullet`, `urdf` or `usd`.")
     options: dict[Name, float | bool | str] = Field({}, description="Options of the backend, such as `timestep`.")
-    tested: Tested = Field(description="The extent to which it has been tested.")
+    tested: Tested = Field(description="The extent to which the profile has been tested.")
     loader: str | None = Field(
         None,
         max_length=200,
         description="The `load.py` of the build; defaults to the file next to the profile, or else the backend's.",
     )
-    writes: tuple[Literal["objects", "environment", "omnigibson"], ...] = Field(
-        (), description="Additional files that its loader requires."
-    )
+    writes: tuple[Writes, ...] = Field((), description="Additional files that the loader requires.")
     restores: dict[Name, Words] = Field(
         {}, description="Features that the loader restores but the files cannot represent, with an explanation."
     )
     combines: Combines = Field(Combines(), description="The rules for combining the two surfaces in a contact.")
-    gaps: dict[Name, Gap] = Field({}, description="Features that it does not preserve, with the reasons.")
+    gaps: dict[Name, Gap] = Field({}, description="Features that the simulator does not preserve, with the reasons.")
     engine: EngineSpec | None = Field(
         None, description="The settings for `simfoundry verify`; requires a `readback.py`."
     )
     behaviors: dict[Name, Band] = Field({}, description="Known deviations from the analytic values, by behavior.")
     tolerances: dict[Name, Tolerance] = Field(
-        {},
-        description="Tolerances by quantity or behavior, and `read_back` for all other quantities.",
+        {}, description="Tolerances by quantity or behavior, and `read_back` for all other quantities."
     )
-    world: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)] | None = Field(
-        None, description="Its `World` class, as `module:Class`, if it can run rollouts and settling."
+    world: ClassPath | None = Field(
+        None, description="The `World` class as `module:Class`, if the simulator can run rollouts and settling."
     )

@@ -6,8 +6,10 @@ For example, OmniGibson reads a scene JSON that references one USD file per obje
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from simfoundry.backends.artifact import rounded, rounded_list
 from simfoundry.backends.usd import compile_usd
@@ -25,43 +27,32 @@ def omnigibson_files(scene: Scene) -> dict[str, bytes]:
 
 def scene_json(scene: Scene) -> bytes:
     """Return the scene's objects and their state in OmniGibson's save format, with xyzw quaternions."""
-    info = {item.name: _info(item) for item in scene.objects}
-    state = {item.name: _state(item) for item in scene.objects}
+    settings = {"use_floor_plane": False, "floor_plane_visible": False}
+    # `Scene.__init__` and `restore` read the keys of both registries, but our scenes have no particle systems.
+    registry = {"object_registry": {item.name: _state(item) for item in scene.objects}, "system_registry": {}}
     data = {
         "metadata": {},
         "versions": {},
-        "init_info": {
-            "class_module": "omnigibson.scenes.scene_base",
-            "class_name": "Scene",
-            "args": {"use_floor_plane": False, "floor_plane_visible": False},
-        },
-        "objects_info": {"init_info": info},
-        # `Scene.__init__` and `restore` read the keys of both registries, but our scenes have no particle systems.
-        "state": {"registry": {"object_registry": state, "system_registry": {}}},
+        "init_info": _constructor("scenes.scene_base", "Scene", settings),
+        "objects_info": {"init_info": {item.name: _info(item) for item in scene.objects}},
+        "state": {"registry": registry},
     }
     return (json.dumps(data, indent=2) + "\n").encode()
 
 
+def _constructor(module: str, name: str, arguments: dict[str, object]) -> dict[str, object]:
+    return {"class_module": f"omnigibson.{module}", "class_name": name, "args": arguments}
+
+
 def _info(item: SceneObject) -> dict[str, object]:
-    arguments = {
-        "name": item.name,
-        "usd_path": f"objects/{item.name}.usda",
-        "category": item.category,
-        "scale": [1.0, 1.0, 1.0],
-        "fixed_base": item.fixed,
-        "visual_only": False,
-    }
-    return {"class_module": "omnigibson.objects.usd_object", "class_name": "USDObject", "args": arguments}
+    names = {"name": item.name, "usd_path": f"objects/{item.name}.usda", "category": item.category}
+    settings = {"scale": [1.0, 1.0, 1.0], "fixed_base": item.fixed, "visual_only": False}
+    return _constructor("objects.usd_object", "USDObject", names | settings)
 
 
 def _state(item: SceneObject) -> dict[str, object]:
-    still = [0.0, 0.0, 0.0]
-    root = {
-        "pos": rounded_list(item.X_WO.p),
-        "ori": rounded_list(to_xyzw(item.X_WO.q)),
-        "lin_vel": still,
-        "ang_vel": still,
-    }
+    root = {"pos": rounded_list(item.X_WO.p), "ori": rounded_list(to_xyzw(item.X_WO.q))}
+    root |= {"lin_vel": [0.0, 0.0, 0.0], "ang_vel": [0.0, 0.0, 0.0]}
     # PhysX orders joints by the links they move, outward from the root; the file does not contain joint names.
     rank = {link.name: k for k, link in enumerate(item.links)}
     moving = sorted((j for j in item.joints if j.type is not JointType.FIXED), key=lambda j: rank[j.child])
@@ -76,20 +67,10 @@ def _object_layer(scene: Scene, item: SceneObject) -> bytes:
 
     # Joints are at zero in the file, because OmniGibson sets their positions from its saved state.
     rest = tuple(replace(joint, position=0.0) for joint in item.joints)
-    alone = replace(
-        scene,
-        objects=(replace(item, X_WO=IDENTITY, joints=rest, variant="", variants=()),),
-        cameras=(),
-        robots=(),
-        mounted=(),
-        lights=(),
-        relations=(),
-        background=None,
-        left_out=(),
-        no_contact=(),
-    )
+    alone = replace(item, X_WO=IDENTITY, joints=rest, variant="", variants=())
     whole = Sdf.Layer.CreateAnonymous(".usda")
-    whole.ImportFromString(compile_usd(alone).files["scene.usda"].decode())
+    files = compile_usd(Scene(scene.name, scene.gravity, (alone,), source=scene.source)).files
+    whole.ImportFromString(files["scene.usda"].decode())
     layer = Sdf.Layer.CreateAnonymous(".usda")
     for key in ("kilogramsPerUnit", "metersPerUnit", "upAxis"):
         layer.pseudoRoot.SetInfo(key, whole.pseudoRoot.GetInfo(key))
@@ -98,50 +79,22 @@ def _object_layer(scene: Scene, item: SceneObject) -> bytes:
     for scope in ("Looks", "Contacts"):
         Sdf.CopySpec(whole, f"/World/{scope}", layer, f"/{item.name}/{scope}")
     text: str = layer.ExportToString()
-    moved = {
-        f"</World/Objects/{item.name}": f"</{item.name}",
-        "</World/Looks/": f"</{item.name}/Looks/",
-        "</World/Contacts/": f"</{item.name}/Contacts/",
-        "@./assets/": "@../assets/",
-    }
-    for old, new in moved.items():
-        text = text.replace(old, new)
-    return text.encode()
+    text = text.replace(f"</World/Objects/{item.name}", f"</{item.name}").replace("@./assets/", "@../assets/")
+    return re.sub("</World/(Looks|Contacts)/", rf"</{item.name}/\1/", text).encode()
 
 
 Writer = Callable[[Scene], Mapping[str, bytes]]
 
-_ENVIRONMENT = """#usda 1.0
-(
-    defaultPrim = "World"
-    metersPerUnit = 1
-    subLayers = [@./scene.usda@]
-    upAxis = "Z"
-)
-
-over "World"
-{
-    over "Physics" (
-        active = false
-    )
-    {
-    }
-}
-"""
-
 
 def objects_file(scene: Scene) -> dict[str, bytes]:
     """Return ``objects.json`` with gravity, and each object's prim, joints and kind (static, rigid or articulated)."""
-    data = {
-        "gravity": rounded_list(scene.gravity),
-        "objects": {item.name: _object(item) for item in scene.objects},
-    }
+    data = {"gravity": rounded_list(scene.gravity), "objects": {item.name: _object(item) for item in scene.objects}}
     return {"objects.json": (json.dumps(data, indent=2) + "\n").encode()}
 
 
 def environment_file(_: Scene) -> dict[str, bytes]:
-    """Return ``environment.usda``, the stage without its physics scene, for simulators that clone it."""
-    return {"environment.usda": _ENVIRONMENT.encode()}
+    """Return ``environment.usda``, the stage without its physics scene, for simulators that clone the stage."""
+    return {"environment.usda": Path(__file__).with_name("environment.usda").read_bytes()}
 
 
 def _object(item: SceneObject) -> dict[str, object]:

@@ -71,7 +71,7 @@ def test_json_has_the_shape_that_is_promised() -> None:
     assert run("check", "--json").out == run("check", "--format=json").out
     for way in (["--json"], ["--format", "json"], ["--format=json"]):
         nothing = run("check", "nowhere", *way)
-        assert (nothing.code, nothing.err, nothing.json) == (2, "", {"error": "there is no file nowhere"})
+        assert (nothing.code, nothing.err, nothing.json) == (2, "", {"error": "nowhere does not exist"})
     assert run("check", "good.scene.yaml", "--json").json["findings"] == []
     described = (REPOSITORY / "docs" / "checking.md").read_text()
     assert all(f"`{key}`" in described for key in (*done.json, *done.json["findings"][0]))
@@ -256,7 +256,7 @@ def test_a_finding_of_a_whole_file_has_no_line(tree: Path) -> None:
     (tree / "folder").mkdir()
     (tree / "folder.scene.yaml").symlink_to(tree / "folder")
     done = run("check", "--format", "github", "missing.scene.yaml")
-    assert done.code == 2 and "there is no file missing.scene.yaml" in done.err
+    assert done.code == 2 and "missing.scene.yaml does not exist" in done.err
     (tree / "large.scene.yaml").write_bytes(b" " * (5 * 2**20))
     out = run("check", "--format", "github", "large.scene.yaml").out
     assert out.startswith("::error file=large.scene.yaml,title=SF005::the file is 5 MiB")

@@ -92,7 +92,7 @@ def test_check_gives_1_for_findings(bad: Path, scene: Path) -> None:
     [
         (["show", "nowhere.scene.yaml"], "does not exist"),
         (["capture", "nowhere"], "does not exist"),
-        (["check", "nowhere.yaml"], "there is no file"),
+        (["check", "nowhere.yaml"], "nowhere.yaml does not exist"),
         (["compile", "nowhere.scene.yaml", "-t", "mjfc"], ""),
         (["settle"], "Missing argument"),
         (["render", "nowhere.scene.yaml", "--cmera", "front"], ""),

@@ -186,14 +186,15 @@ def hang_on_a(job: CompileJob) -> CompileOutcome:
 
 
 @pytest.mark.parametrize(
-    ("function", "why"),
-    [("crash_on_a", "crashed (SIGSEGV)"), ("hang_on_a", "did not respond for 6 s")],
+    ("function", "seconds", "why"),
+    [("crash_on_a", 600.0, "crashed (SIGSEGV)"), ("hang_on_a", 30.0, "did not respond for 30 s")],
 )
 @pytest.mark.usefixtures("project")
-def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
+def test_a_crash_or_a_hang_fails_one_scene(function: str, seconds: float, why: str) -> None:
+    """Only a hang reaches the limit: on a busy machine, a process takes some seconds to import and compile."""
     scenes = [Path(name) for name in ("a.scene.yaml", "b.scene.yaml", "more/c.scene.yaml")]
     jobs = [CompileJob(path, ("mjcf",), Path("build") / path.stem) for path in scenes]
-    limits = Limits(6.0, 8 * 2**30)
+    limits = Limits(seconds, 8 * 2**30)
     outcomes = compile_all(jobs, 2, limits=limits, function=f"tests.cli.test_compile_many:{function}")
     assert [o.state for o in outcomes] == [FAILED, COMPILED, COMPILED]
     assert outcomes[0].error == f"its process {why}, while processing object `one` (one.obj)"

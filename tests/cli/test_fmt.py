@@ -124,5 +124,5 @@ def test_a_stream_is_formatted_to_a_stream() -> None:
 
 
 def test_wrong_calls_say_why(tmp_path: Path) -> None:
-    assert "there is no file" in run("fmt", tmp_path / "x.scene.yaml").err
+    assert "does not exist" in run("fmt", tmp_path / "x.scene.yaml").err
     assert "could not find any documents below" in run("fmt", tmp_path).err

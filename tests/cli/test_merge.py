@@ -345,7 +345,7 @@ def test_what_cannot_be_merged_is_said_in_a_sentence(three: list[Path], tmp_path
     ours.write_text("a: [")
     assert "ours could not be parsed: line 2" in run("merge", *three).err
     ours.write_bytes(b"\xff")
-    assert f"{ours} is not UTF-8 text" in run("merge", *three).err
+    assert f"{ours} could not be decoded as UTF-8" in run("merge", *three).err
     assert "no conflicts are recorded in this document" in run("merge", "--resolve", "ours", theirs).err
     assert run("merge", "--resolve", "ours").code == run("merge", "--git", "a").code == 2
     assert run("merge", *three[:2], tmp_path / "absent").code == 2

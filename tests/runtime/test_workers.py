@@ -54,7 +54,7 @@ def leave() -> None:
 
 
 def slow_but_alive() -> str:
-    for _ in range(6):
+    for _ in range(14):
         report_progress("working")
         time.sleep(0.5)
     return "done"
@@ -88,16 +88,16 @@ def test_a_crash_is_told_with_what_was_done(worker: Worker) -> None:
 
 def test_a_hang_is_ended(worker: Worker) -> None:
     before = worker.call(f"{HERE}:pid")
-    worker.limits = Limits(1.0, worker.limits.memory)
+    worker.limits = Limits(5.0, worker.limits.memory)
     with pytest.raises(WorkerError) as error:
         worker.call(f"{HERE}:hang")
-    assert error.value.how == "did not respond for 1 s" and error.value.doing == "a long step"
+    assert error.value.how == "did not respond for 5 s" and error.value.doing == "a long step"
     assert not Path(f"/proc/{before}").exists()
 
 
 def test_a_sign_of_life_is_enough(worker: Worker) -> None:
     worker.call(f"{HERE}:pid")
-    worker.limits = Limits(2.0, worker.limits.memory)
+    worker.limits = Limits(5.0, worker.limits.memory)
     assert worker.call(f"{HERE}:slow_but_alive") == "done"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene, features_of
-from simfoundry.backends.features import FEATURES, Fidelity, Loss, approximate, count_fates, drop, rejected
+from simfoundry.backends.features import FEATURES, Fidelity, Loss, SupportCell, approximate, count_fates, drop
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
@@ -128,7 +128,7 @@ def test_an_element_named_like_a_feature_is_not_that_feature(tmp_path: Path) -> 
 def test_a_backend_rejects_what_it_cannot_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     """A scene that uses a rejected feature gives one sentence, and no files."""
     backend = BACKENDS.load("urdf")
-    cells = {**backend.features, "capsule": rejected("It knows no capsules.")}
+    cells = {**backend.features, "capsule": SupportCell(Fidelity.REJECTED, "It knows no capsules.")}
     monkeypatch.setattr("simfoundry.backends.urdf.BACKEND", replace(backend, features=cells))
     scene = all_scenes()["primitives"]
     with pytest.raises(InvalidSceneError, match=r"rejects collision capsules \(`pill`\): It knows no capsules\."):

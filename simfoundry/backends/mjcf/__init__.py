@@ -7,14 +7,14 @@ the background. A primitive that is both visual and collider becomes one geom wi
 in group 2; colliders that are not visual are in group 3, which cameras do not render. A mesh is named after the first
 geom that uses it, for example ``bowl_collision_3``.
 
-Each material becomes a default class; :mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike
-materials. Mass properties are explicit. Links connected by a joint do not collide: a drawer is held in its cabinet by
-its joint, not by contacts.
+Settings that are the same for all scenes are in ``settings.xml``. Each material becomes a default class;
+:mod:`simfoundry.backends.mjcf.contact_rules` describes contacts between unlike materials. Mass properties are explicit.
+Links connected by a joint do not collide: a drawer is held in its cabinet by its joint, not by contacts.
 
-The initial state is the keyframe ``initial``. Without it, free bodies are at their initial poses, but joints are at
-zero. The attribute ``ref`` could give joints a different initial position, but ball joints do not support it, some
-readers measure joint coordinates relative to it (Newton uses ``qpos - ref``), and editing a position by hand would then
-require changing the body pose, ``ref`` and the keyframe together.
+The initial state is the keyframe ``initial``. Without this keyframe, free bodies are at their initial poses, but joints
+are at zero. The attribute ``ref`` could give joints a different initial position, but ball joints do not support this
+attribute, some readers measure joint coordinates relative to ``ref`` (Newton uses ``qpos - ref``), and editing a
+position by hand would then require changing the body pose, ``ref`` and the keyframe together.
 
 A robot keeps its own MJCF model, placed below a body named after the robot. All of its names are prefixed with that
 name, as in ``arm.joint1``. The robot frames that a scene can refer to become sites, such as ``arm.hand``.
@@ -26,21 +26,10 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Backend, number, numbers
-from simfoundry.backends.features import Loss, read_cells, splat_losses, variant_losses
+from simfoundry.backends.features import read_cells, splat_losses, variant_losses
+from simfoundry.backends.mjcf import contacts as scene_contacts
 from simfoundry.backends.mjcf.bodies import Assets, add_background, add_drives, add_mimics, add_object
 from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
-from simfoundry.backends.mjcf.contacts import (
-    COLLISION,
-    VISUAL,
-    VISUAL_GROUP,
-    MaterialClasses,
-    contact_geoms,
-    contact_losses,
-    excluded_pairs,
-    excluded_set,
-    resists_rolling,
-    restitution_losses,
-)
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, add_texts, headlight, light_losses
@@ -58,7 +47,13 @@ TIMESTEP = 1 / 500
 EXACT, NATIVE = "exact", "native"
 
 _LOADER = shipped("targets/mjcf") / "load.py"
-_RULES = Path(__file__).parent / "contact_rules.py"
+_RULES = Path(__file__).with_name("contact_rules.py")
+
+# The settings that are the same for all scenes. The elliptic cone with stiff tangential constraints preserves Coulomb's
+# law: a box stays at rest on any slope below the friction angle. `solimpfriction` is stiff enough for Coulomb friction
+# to keep a joint at rest; with MuJoCo's default, a joint held by friction creeps at 10 mm/s. MuJoCo uses the larger
+# resistance of a pair, so the default resistances of collision geoms are zero.
+_SETTINGS = Path(__file__).with_name("settings.xml")
 
 
 def compile_mjcf(
@@ -83,9 +78,8 @@ def compile_mjcf(
     sides = int(cylinder_sides)
     losses = list(prism_losses(scene, sides)) if sides >= 3 else []
     scene = with_prisms(scene, sides) if sides >= 3 else scene
-    materials = MaterialClasses(scene)
-    root = ET.Element("mujoco", model=scene.name)
-    _add_settings(root, scene, timestep, materials)
+    materials = scene_contacts.MaterialClasses(scene)
+    root = _settings(scene, timestep, materials)
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
@@ -96,8 +90,12 @@ def compile_mjcf(
     qpos: list[float] = []
     for item in scene.objects:
         qpos.extend(add_object(world, item, assets, materials))
-    excluded = excluded_pairs(scene)
-    _add_exclusions(root, excluded)
+    excluded = scene_contacts.excluded_pairs(scene)
+    if excluded:
+        root.append(ET.Comment("Pairs of bodies that do not collide, mostly because a joint already connects them."))
+        contact = ET.SubElement(root, "contact")
+        for a, b in excluded:
+            ET.SubElement(contact, "exclude", body1=a, body2=b)
     add_mimics(root, scene)
     ctrl = add_drives(root, scene, timestep)
     add_texts(root, scene)
@@ -112,80 +110,42 @@ def compile_mjcf(
     add_mounted_cameras(world, scene)
     _add_keyframe(root, qpos, ctrl)
     files = {"load.py": _LOADER.read_bytes()}
-    geoms = contact_geoms(scene)
+    geoms = scene_contacts.contact_geoms(scene)
     if contacts == EXACT:
         root.append(ET.Comment("Generated frictions for contacts between different materials; see the comments there."))
         ET.SubElement(root, "include", file=CONTACTS_FILE)
-        files[CONTACTS_FILE] = contacts_text(geoms, excluded_set(excluded)).encode()
+        files[CONTACTS_FILE] = contacts_text(geoms, frozenset(map(frozenset, excluded))).encode()
     files |= {"scene.xml": xml_text(root), _RULES.name: _RULES.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    return Artifact(
-        "mjcf", "scene.xml", files, (*losses, *contact_losses(geoms, contacts == EXACT), *_losses(scene, timestep))
-    )
-
-
-def _losses(scene: Scene, timestep: float) -> list[Loss]:
-    return [
-        *restitution_losses(scene),
+    losses += [
+        *scene_contacts.contact_losses(geoms, contacts == EXACT),
+        *scene_contacts.restitution_losses(scene),
         *stiffness_losses(scene, timestep, implicit_damping=True),
         *light_losses(scene),
         *variant_losses(scene, "MJCF"),
         *splat_losses(scene, "MuJoCo"),
     ]
+    return Artifact("mjcf", "scene.xml", files, tuple(losses))
 
 
-def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: MaterialClasses) -> None:
-    """Add the compiler settings, the solver settings and the default classes."""
-    root.append(ET.Comment(f"{scene.name}: generated by SimFoundry. `python load.py` opens it in its initial state."))
-    compiler = {
-        "angle": "radian",
-        "meshdir": "assets",
-        "texturedir": "assets",
-        "autolimits": "true",
-        "inertiafromgeom": "false",
-        "balanceinertia": "false",
-        "boundmass": "0",
-        "boundinertia": "0",
-        "fusestatic": "false",
-        "discardvisual": "false",
-    }
-    root.append(ET.Comment("Masses and inertias are explicit and are not derived from geoms."))
-    ET.SubElement(root, "compiler", compiler)
-    # An elliptic cone with stiff tangential constraints preserves Coulomb's law: a box stays at rest on any slope below
-    # the friction angle.
-    option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
+def _settings(scene: Scene, timestep: float, materials: scene_contacts.MaterialClasses) -> ET.Element:
+    """Return the root of an MJCF file with its compiler settings, solver settings and default classes."""
+    comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    root = ET.fromstring(_SETTINGS.read_text(encoding="utf-8").replace("SCENE", scene.name), comments)
+    settings = {element.tag: element for element in root}
+    option = {"timestep": number(timestep), "gravity": numbers(scene.gravity)}
     # Rolling resistance is small compared with friction, so it requires even stiffer tangential constraints; otherwise,
     # a ball at rest creeps.
-    impratio = "100" if resists_rolling(scene) else "10"
-    root.append(ET.Comment("The elliptic cone and impratio prevent objects from slipping below the friction angle."))
-    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": impratio})
-    visual = ET.SubElement(root, "visual")
+    option["impratio"] = "100" if scene_contacts.resists_rolling(scene) else "10"
+    settings["option"].attrib.update(option)
     cameras = [*scene.cameras, *(m.camera for m in scene.mounted)]
     if cameras:  # the off-screen buffer must hold the largest image
         width, height = max(c.width for c in cameras), max(c.height for c in cameras)
-        ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
+        ET.SubElement(settings["visual"], "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
-        ET.SubElement(visual, "headlight", own_light)
-    root.append(ET.Comment("One class per material: its friction, and its restitution as `user` data and damping."))
-    default = ET.SubElement(root, "default")
-    # This is stiff enough for Coulomb friction to keep a joint at rest; with MuJoCo's default, a joint held by friction
-    # creeps at 10 mm/s.
-    ET.SubElement(default, "joint", solimpfriction="0.999 0.999 0.001 0.5 2")
-    visuals = ET.SubElement(default, "default", {"class": VISUAL})
-    ET.SubElement(visuals, "geom", group=VISUAL_GROUP, contype="0", conaffinity="0", mass="0")
-    colliders = ET.SubElement(default, "default", {"class": COLLISION})
-    # MuJoCo uses the larger resistance of a pair, so the default must be zero for all other geoms.
-    ET.SubElement(colliders, "geom", group="3", condim="3", friction="1 0 0", rgba="0.9 0.5 0.2 0.5")
-    materials.add_defaults(colliders)
-
-
-def _add_exclusions(root: ET.Element, excluded: list[tuple[str, str]]) -> None:
-    """Add the pairs of bodies that do not collide."""
-    if excluded:
-        root.append(ET.Comment("Pairs of bodies that do not collide, mostly because a joint already connects them."))
-        contact = ET.SubElement(root, "contact")
-        for a, b in excluded:
-            ET.SubElement(contact, "exclude", body1=a, body2=b)
+        ET.SubElement(settings["visual"], "headlight", own_light)
+    materials.add_defaults(settings["default"][-1])
+    return root
 
 
 def _add_keyframe(root: ET.Element, qpos: list[float], ctrl: list[float]) -> None:

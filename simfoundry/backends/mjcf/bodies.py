@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
@@ -22,38 +23,29 @@ _JOINT_TYPES = {
 }
 
 
-def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add an object's bodies to the world, and return its initial ``qpos`` in MuJoCo's depth-first order.
+def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> Iterator[float]:
+    """Add an object's bodies to the world, and yield its initial ``qpos`` in MuJoCo's depth-first order.
 
-    ``materials`` contains the material classes of the scene.
+    Each tree of links is a child of the world body, because MuJoCo allows free joints only there.
     """
-    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, materials)]
+    links = {link.name: link for link in item.links}
 
+    def fill(body: ET.Element, tree: Tree, link: Link) -> Iterator[float]:
+        _fill_body(body, item.qualified(link.name), link, assets, materials)
+        for joint in (joint for joint in tree.joints if joint.parent == link.name):
+            child = _add_child(body, item, joint)
+            if joint.type is JointType.BALL:
+                yield from joint.motion.q
+            elif joint.has_axis:
+                yield joint.position
+            yield from fill(child, tree, links[joint.child])
 
-def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: MaterialClasses) -> list[float]:
-    """Add one tree of links directly to the world body, because MuJoCo allows free joints only there."""
-    item = tree.owner
-    body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
-    qpos: list[float] = []
-    if not tree.fixed:
-        ET.SubElement(body, "freejoint", name=free_joint_name(tree))
-        qpos = [*tree.X_WT.p, *tree.X_WT.q]
-    _fill_body(body, item, tree.root, assets, materials)
-    links = {link.name: link for link in tree.links}
-    joints_by_parent: dict[str, list[Joint]] = {}
-    for joint in tree.joints:
-        joints_by_parent.setdefault(joint.parent, []).append(joint)
-    pending = [(body, joint) for joint in reversed(joints_by_parent.get(tree.root.name, []))]
-    while pending:  # depth first, with children in joint order
-        parent, joint = pending.pop()
-        child = _add_child(parent, item, joint)
-        _fill_body(child, item, links[joint.child], assets, materials)
-        if joint.type is JointType.BALL:
-            qpos.extend(joint.motion.q)
-        elif joint.has_axis:
-            qpos.append(joint.position)
-        pending.extend((child, below) for below in reversed(joints_by_parent.get(joint.child, [])))
-    return qpos
+    for tree in trees(item):
+        body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
+        if not tree.fixed:
+            ET.SubElement(body, "freejoint", name=free_joint_name(tree))
+            yield from (*tree.X_WT.p, *tree.X_WT.q)
+        yield from fill(body, tree, tree.root)
 
 
 def add_background(world: ET.Element, background: Background, assets: Assets) -> None:
@@ -86,15 +78,6 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
     return body
 
 
-def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """Add the mass properties and geoms of a link."""
-    moments, q = link.principal
-    inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
-    ET.SubElement(body, "inertial", inertial | _turn(q))
-    name = item.qualified(link.name)
-    _add_geoms(body, name, link, assets, materials)
-
-
 def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> None:
     attributes = {"class": VISUAL, "name": name} | pose_attributes(visual.X_LG)
     attributes |= _shape(visual.geometry, assets, name)
@@ -105,8 +88,14 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
     ET.SubElement(body, "geom", attributes)
 
 
-def _add_geoms(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """Add the geoms of a link; a primitive that is both visual and collider becomes one geom in the visual group."""
+def _fill_body(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
+    """Add the mass properties and geoms of a link.
+
+    A primitive that is both visual and collider becomes one geom in the visual group.
+    """
+    moments, q = link.principal
+    inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
+    ET.SubElement(body, "inertial", inertial | _turn(q))
     both: dict[str, Visual] = {v.name: v for v in link.visuals if not isinstance(v.geometry, Mesh)}
     shapes = {c.name: _placed_shape(c, assets, f"{name}_collision") for c in link.colliders}
     both = {n: v for n, v in both.items() if n in shapes and shapes[n] == _placed_shape(v, assets, name)}
@@ -125,7 +114,7 @@ def _placed_shape(part: Visual | Collider, assets: Assets, name: str) -> dict[st
 
 
 def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False) -> dict[str, str]:
-    """Return the type and size attributes of a geom; a mesh asset that does not exist yet is named after ``name``."""
+    """Return the type and size attributes of a geom; a new mesh asset is named after ``name``."""
     match geometry:
         case Box(size=size):
             return {"type": "box", "size": numbers(size / 2)}
@@ -153,7 +142,7 @@ def _turn(q: Array) -> dict[str, str]:
 
 
 class Assets:
-    """The ``<asset>`` element under construction, and the files it refers to, by file name."""
+    """The ``<asset>`` element under construction, and the files that the element refers to, by file name."""
 
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
@@ -212,9 +201,8 @@ def add_mimics(root: ET.Element, scene: Scene) -> None:
     equality = ET.SubElement(root, "equality")
     for owner, joint, mimic in followers:
         names = {"name": f"{owner}.{joint.name}", "joint1": f"{owner}.{joint.name}", "joint2": f"{owner}.{mimic.joint}"}
-        ET.SubElement(
-            equality, "joint", names | {"polycoef": numbers([mimic.offset, mimic.multiplier, 0, 0, 0])} | _RIGID
-        )
+        ratio = {"polycoef": numbers([mimic.offset, mimic.multiplier, 0, 0, 0])}
+        ET.SubElement(equality, "joint", names | ratio | _RIGID)
 
 
 def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
@@ -223,26 +211,22 @@ def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
     The control is the drive target, clipped to the joint limits. The stiffness is limited to values that are stable at
     a time step of ``timestep`` [s].
     """
-    driven: list[tuple[str, Joint, Drive]] = []
+    actuator, ctrl = ET.Element("actuator"), []
     for item in scene.objects:
-        stable = stable_drives(item, timestep, implicit_damping=True)
-        driven += [(item.name, joint, stable[joint.name]) for joint in item.joints if joint.name in stable]
-    if not driven:
-        return []
-    actuator = ET.SubElement(root, "actuator")
-    for owner, joint, drive in driven:
-        name = f"{owner}.{joint.name}"
-        ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
-    return [drive.target if drive.stiffness else 0.0 for _, _, drive in driven]
+        drives = stable_drives(item, timestep, implicit_damping=True)
+        for joint in (joint for joint in item.joints if joint.name in drives):
+            name, drive = f"{item.name}.{joint.name}", drives[joint.name]
+            ET.SubElement(actuator, "general", {"name": name, "joint": name} | _spring(joint, drive))
+            ctrl.append(drive.target if drive.stiffness else 0.0)
+    if ctrl:
+        root.append(actuator)
+    return ctrl
 
 
 def _spring(joint: Joint, drive: Drive) -> dict[str, str]:
     """Return MuJoCo's gain and bias parameters for the force ``stiffness * (ctrl - q) - damping * v``."""
-    attributes = {
-        "biastype": "affine",
-        "gainprm": number(drive.stiffness),
-        "biasprm": numbers([0.0, -drive.stiffness, -drive.damping]),
-    }
+    attributes = {"biastype": "affine", "gainprm": number(drive.stiffness)}
+    attributes["biasprm"] = numbers([0.0, -drive.stiffness, -drive.damping])
     if drive.stiffness and joint.limits is not None:
         attributes["ctrlrange"] = numbers(joint.limits)
     if drive.force_limit is not None:

@@ -7,16 +7,8 @@ from collections.abc import Iterator, Sequence
 
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.features import Loss, approximate, combination_reason
-from simfoundry.backends.mjcf.contact_rules import (
-    ContactGeom,
-    ContactSurface,
-    Excluded,
-    UnlikeGroup,
-    contact_dimensions,
-    solref,
-    unlike_groups,
-    written_groups,
-)
+from simfoundry.backends.mjcf import contact_rules as rules
+from simfoundry.backends.mjcf.contact_rules import ContactGeom, ContactSurface, UnlikeGroup
 from simfoundry.scene.kinematics import excluded_link_pairs
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
 
@@ -34,11 +26,9 @@ class MaterialClasses:
 
     def __init__(self, scene: Scene) -> None:
         self._surfaces: dict[str, ContactSurface] = {}
-        for item in scene.objects:
-            for link in item.links:
-                for collider in link.colliders:
-                    if collider.material:
-                        self._surfaces.setdefault(_class_name(collider.material), surface_of(collider))
+        for collider in _colliders(scene):
+            if collider.material:
+                self._surfaces.setdefault(_class_name(collider.material), surface_of(collider))
 
     def add_defaults(self, collision: ET.Element) -> None:
         """Add the material classes as children of the class for collision geoms."""
@@ -52,6 +42,10 @@ class MaterialClasses:
         if own is None:
             return {"class": COLLISION} | surface_attributes(surface)
         return {"class": name} | ({} if own == surface else surface_attributes(surface, own))
+
+
+def _colliders(scene: Scene) -> Iterator[Collider]:
+    return (collider for item in scene.objects for link in item.links for collider in link.colliders)
 
 
 def _class_name(material: str) -> str:
@@ -75,16 +69,15 @@ def surface_attributes(surface: ContactSurface, inherited: ContactSurface | None
     resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))
     attributes = {"friction": numbers([surface.friction, spinning, rolling]) if resists else number(surface.friction)}
     if resists:
-        attributes["condim"] = str(contact_dimensions(surface))
+        attributes["condim"] = str(rules.contact_dimensions(surface))
     if surface.restitution > 0 or (inherited is not None and inherited.restitution > 0):
-        attributes |= {"solref": numbers(solref(surface.restitution)), "user": number(surface.restitution)}
+        attributes |= {"solref": numbers(rules.solref(surface.restitution)), "user": number(surface.restitution)}
     return attributes
 
 
 def resists_rolling(scene: Scene) -> bool:
     """Return true if any collider in the scene resists spinning or rolling."""
-    colliders = (collider for item in scene.objects for link in item.links for collider in link.colliders)
-    return any(collider.torsional_friction or collider.rolling_friction for collider in colliders)
+    return any(collider.torsional_friction or collider.rolling_friction for collider in _colliders(scene))
 
 
 def contact_geoms(scene: Scene) -> list[ContactGeom]:
@@ -111,14 +104,9 @@ def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
     return [*own, *scene.no_contact]
 
 
-def excluded_set(pairs: Sequence[tuple[str, str]]) -> Excluded:
-    """Return the pairs as a set of unordered pairs of bodies."""
-    return frozenset(map(frozenset, pairs))
-
-
 def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
     """Yield the friction loss, with the worst pair as an example, if the files leave contacts to MuJoCo's own rule."""
-    groups = written_groups(geoms)[1] if exact else unlike_groups(geoms)
+    groups = rules.written_groups(geoms)[1] if exact else rules.unlike_groups(geoms)
     worst = max(groups, key=_native_error, default=None)
     if worst is None or not _native_error(worst):
         return
@@ -137,8 +125,9 @@ def _native_error(group: UnlikeGroup) -> float:
 def restitution_losses(scene: Scene) -> Iterator[Loss]:
     """Yield one loss per object with restitution, and one for all objects that should not bounce but do so slightly."""
     reason = "MuJoCo has no restitution; contact damping keeps rebounds within 0.03 of it, but never below 0.14."
-    bouncing = {o.name: [c.restitution for link in o.links for c in link.colliders] for o in scene.objects}
-    yield from (approximate("restitution", name, reason, 0.03) for name, values in bouncing.items() if any(values))
-    if any(e == 0 for values in bouncing.values() for e in values):
+    for item in scene.objects:
+        if any(collider.restitution for link in item.links for collider in link.colliders):
+            yield approximate("restitution", item.name, reason, 0.03)
+    if any(collider.restitution == 0 for collider in _colliders(scene)):
         still = "MuJoCo's soft contacts rebound at 0.10 to 0.14 of the impact speed even if the restitution is 0."
         yield approximate("restitution", "", still, 0.14)

@@ -17,32 +17,24 @@ from simfoundry.scene.model import Collider, Link, Scene
 def with_prisms(scene: Scene, sides: int) -> Scene:
     """Return a copy of the scene in which each colliding cylinder is replaced by a prism."""
 
+    def collider_with(c: Collider) -> Collider:
+        return replace(c, geometry=prism(c.geometry, sides)) if isinstance(c.geometry, Cylinder) else c
+
     def link_with(link: Link) -> Link:
-        return replace(link, colliders=tuple(_collider_with(c, sides) for c in link.colliders))
+        return replace(link, colliders=tuple(map(collider_with, link.colliders)))
 
-    objects = (replace(o, links=tuple(map(link_with, o.links))) for o in scene.objects)
-    return replace(scene, objects=tuple(objects))
-
-
-def _collider_with(collider: Collider, sides: int) -> Collider:
-    if not isinstance(collider.geometry, Cylinder):
-        return collider
-    return replace(collider, geometry=prism(collider.geometry, sides))
+    return replace(scene, objects=tuple(replace(o, links=tuple(map(link_with, o.links))) for o in scene.objects))
 
 
 def prism(cylinder: Cylinder, sides: int) -> Mesh:
     """Return a regular prism with the same height and volume as the cylinder."""
     turn = 2 * math.pi / sides
-    radius = cylinder.radius * math.sqrt(turn / math.sin(turn))
-    angles = turn * np.arange(sides)
-    ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
-    half = cylinder.height / 2
+    radius, half = cylinder.radius * math.sqrt(turn / math.sin(turn)), cylinder.height / 2
+    low, fan = np.arange(sides), np.arange(1, sides - 1)
+    ring = radius * np.column_stack([np.cos(turn * low), np.sin(turn * low)])
     vertices = np.vstack([np.column_stack([ring, np.full(sides, z)]) for z in (-half, half)])
-    nxt = np.roll(np.arange(sides), -1)
-    low = np.arange(sides)
-    walls = [np.column_stack([low, nxt, nxt + sides]), np.column_stack([low, nxt + sides, low + sides])]
-    fan = np.arange(1, sides - 1)
-    zero = np.zeros_like(fan)
+    after, zero = np.roll(low, -1), np.zeros_like(fan)
+    walls = [np.column_stack([low, after, after + sides]), np.column_stack([low, after + sides, low + sides])]
     caps = [np.column_stack([zero, fan + 1, fan]), np.column_stack([zero, fan, fan + 1]) + sides]
     faces = np.vstack([*walls, *caps]).astype(np.int32)
     faces.setflags(write=False)

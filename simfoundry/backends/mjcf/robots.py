@@ -1,4 +1,4 @@
-"""Robots in MJCF, each with its own model below a body named after the robot, and cameras mounted on links.
+"""Robots and mounted cameras in MJCF. Each robot keeps its own model, below a body named after the robot.
 
 The scene's options override those in the robot's file. A robot's contacts are as specified in its file, except for the
 stiffness of the finger contacts.
@@ -23,7 +23,6 @@ _SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality"
 
 # MuJoCo's default impedance for joint friction, restored for robots because the scene's default is stiffer.
 _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
-
 
 # The weight of a finger geom's stiffness in a contact; all other geoms have weight 1.
 _FINGERS = "1000"
@@ -50,7 +49,8 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -
         _section(root, tag).extend(source.findall(f"{tag}/*"))
     for name, frame in native.links.items():
         site = {"name": f"{robot.name}.{name}", "group": "5", "size": "0.005"} | pose_attributes(frame.X_LF)
-        ET.SubElement(_body(base, body_name(read, name)), "site", site)
+        body = body_name(read, name)
+        ET.SubElement(next(b for b in base.iter("body") if b.get("name") == body), "site", site)
     assets.files.update(read.files)
     return read
 
@@ -115,39 +115,29 @@ def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
             group.insert(0, joint)
         joint.set("solimpfriction", joint.get("solimpfriction", _JOINT_FRICTION))
         _section(root, "default").append(group)
-    for joint in source.findall("worldbody//joint"):  # a joint without a class would inherit the scene's defaults
-        if joint.get("class") is None and not _has_class(source, joint):
+    # A joint without a class would inherit the scene's defaults; a body's `childclass` applies to the joints below it.
+    classified = [joint for body in source.findall("worldbody//body[@childclass]") for joint in body.iter("joint")]
+    for joint in source.findall("worldbody//joint"):
+        if joint.get("class") is None and joint not in classified:
             joint.set("class", f"{name}.main")
-
-
-def _has_class(source: ET.Element, joint: ET.Element) -> bool:
-    """Return true if the joint gets a class from a body above it."""
-    return any(joint in body.iter("joint") for body in source.findall("worldbody//body[@childclass]"))
-
-
-def _body(base: ET.Element, name: str) -> ET.Element:
-    return next(body for body in base.iter("body") if body.get("name") == name)
 
 
 def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
     """Add each mounted camera to the body of its link, unless its robot was not written."""
     robots = {robot.name: robot for robot in scene.robots}
     for mounted in scene.mounted:
-        robot = robots.get(mounted.carrier)
+        robot, camera, name = robots.get(mounted.carrier), mounted.camera, mounted.carrier
+        native = None if robot is None else mujoco_model(robot)
         if robot is None:
-            item = scene.object(mounted.carrier)
-            name = item.qualified(mounted.link or item.root.name)
-            camera = mounted.camera
-        else:
-            native = mujoco_model(robot)
-            if native is None:
-                continue
-            frame = native.frame(mounted.link or "base")
-            name = f"{robot.name}.{frame.link}" if mounted.link else robot.name
-            camera = replace(mounted.camera, X_WC=frame.X_LF @ mounted.camera.X_WC) if mounted.link else mounted.camera
+            name = scene.object(name).qualified(mounted.link or scene.object(name).root.name)
+        elif native is None:
+            continue
+        elif mounted.link:
+            frame = native.frame(mounted.link)
+            name, camera = f"{name}.{frame.link}", replace(camera, X_WC=frame.X_LF @ camera.X_WC)
         body = next((b for b in world.iter("body") if b.get("name") == name), None)
         if body is None:
-            raise RobotModelError(f"camera `{mounted.camera.name}` is mounted on `{name}`, which does not exist")
+            raise RobotModelError(f"camera `{camera.name}` is mounted on `{name}`, which does not exist")
         add_camera(body, camera)
 
 

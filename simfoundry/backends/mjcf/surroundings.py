@@ -27,17 +27,11 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
     """Add a camera with exact intrinsics; MuJoCo measures the principal point from the image center, left and up."""
     X_WG = camera.X_WC @ OPENCV_FROM_OPENGL
     principal = (camera.width / 2 - (camera.cx + _HALF_PIXEL), camera.height / 2 - (camera.cy + _HALF_PIXEL))
-    attributes = {
-        "name": camera.name,
-        "pos": numbers(X_WG.p),
-        "quat": numbers(X_WG.q),
-        "resolution": f"{camera.width} {camera.height}",
-        # Any sensor with the image's aspect ratio would work; one micrometer per pixel keeps the numbers readable.
-        "sensorsize": numbers([camera.width * 1e-6, camera.height * 1e-6]),
-        "focalpixel": numbers([camera.fx, camera.fy]),
-        "principalpixel": numbers(principal),
-    }
-    ET.SubElement(world, "camera", attributes)
+    attributes = {"name": camera.name, "pos": numbers(X_WG.p), "quat": numbers(X_WG.q)}
+    # Any sensor with the image's aspect ratio would work; one micrometer per pixel keeps the numbers readable.
+    sensor = {"sensorsize": numbers([camera.width * 1e-6, camera.height * 1e-6])}
+    lens = {"focalpixel": numbers([camera.fx, camera.fy]), "principalpixel": numbers(principal)}
+    ET.SubElement(world, "camera", attributes | {"resolution": f"{camera.width} {camera.height}"} | sensor | lens)
 
 
 def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
@@ -45,14 +39,9 @@ def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
     for light in lights:
         if light.type is LightType.DOME:
             continue
-        attributes = {
-            "name": light.name,
-            "pos": numbers(light.X_WL.p),
-            "dir": numbers(light.X_WL.rotation @ np.array([0.0, 0.0, -1.0])),
-            "diffuse": numbers(light.intensity * light.rgb),
-            "ambient": "0 0 0",
-            "specular": "0 0 0",
-        }
+        direction = light.X_WL.rotation @ np.array([0.0, 0.0, -1.0])
+        attributes = {"name": light.name, "pos": numbers(light.X_WL.p), "dir": numbers(direction)}
+        attributes |= {"diffuse": numbers(light.intensity * light.rgb), "ambient": "0 0 0", "specular": "0 0 0"}
         if light.type is LightType.DISTANT:
             attributes["directional"] = "true"
         else:
@@ -61,7 +50,7 @@ def add_lights(world: ET.Element, lights: tuple[Light, ...]) -> None:
 
 
 def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
-    """Return MuJoCo's headlight attributes for the sum of all dome lights, or None if the scene has no lights."""
+    """Return the attributes of MuJoCo's headlight, the sum of all dome lights, or None if the scene has no lights."""
     if not lights:
         return None
     domes: list[Array] = [light.intensity * light.rgb for light in lights if light.type is LightType.DOME]
@@ -79,7 +68,7 @@ MARK = "simfoundry:scene"
 
 
 def add_texts(root: ET.Element, scene: Scene) -> None:
-    """Add ``<custom>`` with categories, labels, stated relations, and names for which MJCF has no element."""
+    """Add a ``<custom>`` element with categories, labels, stated relations, and names that MJCF cannot represent."""
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
     for item in scene.objects:

@@ -11,7 +11,7 @@ effective faces in the correct place.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -63,11 +63,9 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     check_names(scene)
     dialect = Dialect(visual=whole, collision=surfaces.split_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
-
-    def write(item: SceneObject) -> Mapping[str, bytes]:
-        return urdf_files(replace(scene, objects=(with_rotors(item),)), dialect)
-
-    robots, robot_losses = bullet_robots(scene, write)
+    robots, robot_losses = bullet_robots(
+        scene, lambda item: urdf_files(replace(scene, objects=(with_rotors(item),)), dialect)
+    )
     for robot in robots.values():
         files.update(robot.files)
     resistances = surfaces.scene_resistances(scene)
@@ -174,8 +172,7 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
         return {}
     stiffness, damping = robot.servos[joint]
     lag = {"gain": rounded(min(stiffness * timestep / damping, 1.0))} if damping > 0 else {}
-    firm = {"stiffness": rounded(stiffness)} if joint in robot.gripper else {}
-    return lag | firm
+    return lag | ({"stiffness": rounded(stiffness)} if joint in robot.gripper else {})
 
 
 def with_rotors(item: SceneObject) -> SceneObject:
@@ -186,42 +183,30 @@ def with_rotors(item: SceneObject) -> SceneObject:
     1e-5 kg m^2 would therefore press with only a hundredth of their motor's force. Each rotor is modeled as a thin disk
     with half of its inertia about the transverse axes, because Bullet treats a physically impossible inertia as zero.
     """
-    rotors = {
-        joint.child: joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))
-        for joint in item.joints
-        if joint.armature > 0 and joint.type in (JointType.REVOLUTE, JointType.CONTINUOUS)
-    }
-    links = (
-        replace(link, inertia=frozen_array(link.inertia + rotors[link.name])) if link.name in rotors else link
-        for link in item.links
-    )
-    return replace(item, links=tuple(links))
+    links = {link.name: link for link in item.links}
+    for joint in item.joints:
+        if joint.armature > 0 and joint.type in (JointType.REVOLUTE, JointType.CONTINUOUS):
+            rotor = joint.armature / 2 * (np.eye(3) + np.outer(joint.axis, joint.axis))
+            link = links[joint.child]
+            links[joint.child] = replace(link, inertia=frozen_array(link.inertia + rotor))
+    return replace(item, links=tuple(links.values()))
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
     """Return the image size, view matrix and projection matrix of a camera, with column-major matrices as in OpenGL."""
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    view = flip @ camera.X_WC.inverse().matrix
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "view": rounded_list(view.T),
-        "projection": rounded_list(projection_matrix(camera).T),
-    }
+    view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.X_WC.inverse().matrix
+    matrices = {"view": rounded_list(view.T), "projection": rounded_list(projection_matrix(camera).T)}
+    return {"width": camera.width, "height": camera.height} | matrices
 
 
 def projection_matrix(camera: Camera) -> Array:
     """Return a pinhole camera's OpenGL projection matrix, shape (4, 4); the first pixel's center is (0, 0)."""
     left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
     top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
-    return np.array(
-        [
-            [2 / (right - left), 0.0, (right + left) / (right - left), 0.0],
-            [0.0, 2 / (top - bottom), (top + bottom) / (top - bottom), 0.0],
-            [0.0, 0.0, -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)],
-            [0.0, 0.0, -1.0, 0.0],
-        ]
-    )
+    matrix = np.diag([2 / (right - left), 2 / (top - bottom), -(FAR + NEAR) / (FAR - NEAR), 0.0])
+    matrix[:2, 2] = (right + left) / (right - left), (top + bottom) / (top - bottom)
+    matrix[2, 3], matrix[3, 2] = -2 * FAR * NEAR / (FAR - NEAR), -1.0
+    return matrix
 
 
 def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:

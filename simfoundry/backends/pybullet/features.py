@@ -15,6 +15,10 @@ from simfoundry.scene.model import Light, LightType, Link, Scene, SceneObject
 
 FEATURES = read_cells(Path(__file__).parent)
 
+_MARGIN = (
+    "Bullet's collision margin rounds edges of convex meshes by 1 mm and sharp tips by more, and thickens meshes that "
+    "are thinner than the margin."
+)
 _LIGHTS = {
     LightType.DISTANT: "PyBullet uses its own shading model: the brightness differs, and shadows are soft.",
     LightType.POINT: "PyBullet replaces it with parallel rays from its position toward the origin.",
@@ -39,11 +43,7 @@ def bullet_losses(scene: Scene, timestep: float, resistances: Resistances) -> It
         for link in item.links:
             yield from _surface_losses(item, link)
         if any(isinstance(collider.geometry, Mesh) for link in item.links for collider in link.colliders):
-            reason = (
-                "Bullet's collision margin rounds edges of convex meshes by 1 mm and sharp tips by more, and thickens "
-                "meshes that are thinner than the margin."
-            )
-            yield approximate("convex_mesh", item.name, reason, 1000 * SKIN, "mm")
+            yield approximate("convex_mesh", item.name, _MARGIN, 1000 * SKIN, "mm")
         yield from joint_losses(item)
     yield from stiffness_losses(scene, timestep, implicit_damping=False)
     main = main_light(scene.lights)

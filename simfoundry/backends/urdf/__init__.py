@@ -1,6 +1,6 @@
-"""URDF backend, which writes one file per object, and ``poses.json`` with the poses and joint positions.
+"""URDF backend, which writes one URDF per object, and ``poses.json`` with the poses and joint positions.
 
-``physics.json`` contains further simulation properties, which the loaders for Drake, Genesis and SAPIEN use.
+``physics.json`` contains additional physical properties, which the loaders for Drake, Genesis and SAPIEN use.
 
 A free object is written as a robot whose root is not attached to anything. ``floating`` joints are never written,
 because PyBullet freezes them and Drake loses their poses. Inertial frames are aligned with their link, and products of
@@ -33,9 +33,7 @@ def compile_urdf(scene: Scene) -> Artifact:
     check_names(scene)
     dialect = Dialect(visual=capsule_parts, collision=capsule_parts)
     files = urdf_files(scene, dialect)
-    poses: dict[str, dict[str, object]] = {
-        tree.name: poses_entry(tree) for item in scene.objects for tree in trees(item)
-    }
+    poses = {tree.name: poses_entry(tree) for item in scene.objects for tree in trees(item)}
     losses: list[Loss] = list(urdf_losses(scene))
     robots: dict[str, RobotUrdf] = {}
     for robot in scene.robots:
@@ -46,10 +44,8 @@ def compile_urdf(scene: Scene) -> Artifact:
         files |= found.files
         losses += [*found.losses, *robot_losses(robot.name)]
         robots[robot.name] = found
-        poses[robot.name] = robot_placement(found)
         fields = document_fields(robot)
-        if fields is not None:
-            poses[robot.name]["robot"] = fields
+        poses[robot.name] = robot_placement(found) | ({} if fields is None else {"robot": fields})
     files["poses.json"] = json_text(poses)
     files["physics.json"] = physics_manifest(scene, capsule_parts, robots)
     files |= {name: (shipped("targets") / folder / "load.py").read_bytes() for name, folder in _LOADERS.items()}

@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.urdf.features import UNBOUNDED_M
 from simfoundry.backends.xmltext import DECLARATION, xml_text
-from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, rpy_from_quat
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import Tree, trees
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
@@ -23,9 +25,12 @@ Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 
 @dataclass(frozen=True)
 class Dialect:
-    """The features that a URDF reader supports: splits for visual and collision geometries, and ball joints.
+    """The features that a URDF reader supports.
 
-    ``ball`` is the joint type for ball joints; if it is None, the link is welded in its initial pose.
+    Attributes:
+        visual: A function that splits visual geometries.
+        collision: A function that splits collision geometries.
+        ball: The joint type for ball joints, or None to weld the child link in its initial pose.
     """
 
     visual: Split
@@ -45,13 +50,11 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
     """Return the URDFs of all objects, one per freely moving part, and their shared assets, by path."""
     files: dict[str, bytes] = {}
     for item in scene.objects:
-        written = _WRITTEN.get(item)
-        if written is not None:
-            files |= written
-            continue
-        texts = {f"{tree.name}.urdf": _tree_text(tree, dialect, files) for tree in trees(item)}
-        if _is_plain(item):
-            _WRITTEN[item] = texts
+        texts = _WRITTEN.get(item)
+        if texts is None:
+            texts = {f"{tree.name}.urdf": _tree_text(tree, dialect, files) for tree in trees(item)}
+            if _is_plain(item):
+                _WRITTEN[item] = texts
         files |= texts
     return files
 
@@ -82,9 +85,7 @@ def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
-    inertial = ET.SubElement(element, "inertial")  # otherwise readers assume a mass and print a warning
-    ET.SubElement(inertial, "mass", value="0")
-    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    _add_mass(element, 0.0, np.zeros((3, 3)))  # otherwise readers assume a mass and print a warning
     for visual in background.visuals:
         shape = _add_shape(element, "visual", visual.name, visual.geometry, background.X_WB @ visual.X_LG, files)
         _add_material(shape, visual)
@@ -109,11 +110,7 @@ def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
     element = ET.SubElement(root, "link", name=link.name)
-    inertial = ET.SubElement(element, "inertial")
-    _add_origin(inertial, Pose.of(link.com))
-    ET.SubElement(inertial, "mass", value=number(link.mass))
-    tensor = {f"i{'xyz'[a]}{'xyz'[b]}": number(link.inertia[a, b]) for a, b in _TENSOR}
-    ET.SubElement(inertial, "inertia", tensor)
+    _add_mass(element, link.mass, link.inertia, Pose.of(link.com))
     for visual in link.visuals:
         for suffix, geometry, X_GP in dialect.visual(visual.geometry):
             shape = _add_shape(element, "visual", visual.name + suffix, geometry, visual.X_LG @ X_GP, files)
@@ -121,6 +118,13 @@ def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, b
     for collider in link.colliders:
         for suffix, geometry, X_GP in dialect.collision(collider.geometry):
             _add_shape(element, "collision", collider.name + suffix, geometry, collider.X_LG @ X_GP, files)
+
+
+def _add_mass(link: ET.Element, mass: float, inertia: Array, X_LC: Pose = IDENTITY) -> None:
+    inertial = ET.SubElement(link, "inertial")
+    _add_origin(inertial, X_LC)
+    ET.SubElement(inertial, "mass", value=number(mass))
+    ET.SubElement(inertial, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": number(inertia[a, b]) for a, b in _TENSOR})
 
 
 def _add_origin(parent: ET.Element, pose: Pose) -> None:
@@ -190,17 +194,11 @@ def _joint_type(joint: Joint, dialect: Dialect) -> str:
 
 
 def _limit(joint: Joint) -> dict[str, str]:
+    """Return a ``limit`` element's attributes; many readers lock prismatic joints without limits at zero."""
     strength = joint.drive.force_limit if joint.drive is not None else None
     limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
-    if limits := _urdf_limits(joint):
-        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
-    return limit
-
-
-def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
-    """Return the limits to write; prismatic joints always need limits, or else many readers lock them at zero."""
-    if joint.type is JointType.CONTINUOUS:
-        return None
-    if joint.type is JointType.PRISMATIC and joint.limits is None:
-        return -UNBOUNDED_M, UNBOUNDED_M
-    return joint.limits
+    unbounded = (-UNBOUNDED_M, UNBOUNDED_M) if joint.type is JointType.PRISMATIC else None
+    limits = joint.limits or unbounded
+    if limits is None or joint.type is JointType.CONTINUOUS:
+        return limit
+    return {"lower": number(limits[0]), "upper": number(limits[1])} | limit

@@ -25,7 +25,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
     A converted robot is described like an object. For a robot with its own URDF, the file adds only motors and any
     mimic joints that the URDF does not contain.
     """
-    own = {name: robot for name, robot in robots.items() if robot.item is None}
+    own = {name: _robot(robot) for name, robot in robots.items() if robot.item is None}
     items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
     data: dict[str, object] = {
         "gravity": rounded_list(scene.gravity),
@@ -34,7 +34,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]
     if excluded := excluded_between(scene):
         data["no_contact"] = excluded
     if own:
-        data["robots"] = {name: _robot(robot) for name, robot in own.items()}
+        data["robots"] = own
     return json_text(data)
 
 
@@ -96,12 +96,9 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
 
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
     return {
-        collider.name + suffix: {
-            "friction": rounded(collider.friction),
-            "restitution": rounded(collider.restitution),
-        }
-        for collider in link.colliders
-        for suffix, _, _ in split(collider.geometry)
+        c.name + suffix: {"friction": rounded(c.friction), "restitution": rounded(c.restitution)}
+        for c in link.colliders
+        for suffix, _, _ in split(c.geometry)
     }
 
 
@@ -120,18 +117,14 @@ def robot_placement(robot: RobotUrdf) -> dict[str, object]:
 
 
 def poses_entry(tree: Tree) -> dict[str, object]:
-    """Return the ``poses.json`` entry of a part of an object."""
-    return {"urdf": f"{tree.name}.urdf"} | semantics(tree.owner) | placement(tree) | _free_part(tree)
-
-
-def _free_part(tree: Tree) -> dict[str, object]:
-    """Return the object to which a freely moving part belongs, and the part's free joint."""
+    """Return the ``poses.json`` entry of a part of an object; a freely moving part includes its free joint."""
+    entry = {"urdf": f"{tree.name}.urdf"} | semantics(tree.owner) | placement(tree)
     joint = tree.free_joint
     if joint is None:
-        return {}
+        return entry
     zero, motion = ([*rounded_list(X.p), *rounded_list(X.q)] for X in (joint.X_PC, joint.motion))
     free = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
-    return {"free": free}
+    return entry | {"free": free}
 
 
 def semantics(item: SceneObject) -> dict[str, object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ class Scopes:
 
 
 def is_static(tree: Tree) -> bool:
-    """Return true if no link in the tree can move, in which case it has colliders but no rigid bodies."""
+    """Return true if no link in the tree can move, in which case the links have colliders but no rigid bodies."""
     return tree.fixed and all(joint.type is JointType.FIXED for joint in tree.joints)
 
 
@@ -112,30 +113,26 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     """Exclude pairs of links from contact; a static link is represented by its colliders, as it has no rigid body."""
-    bodies: dict[str, list[Prim]] = {}
-    touched_by_link: dict[str, list[Prim]] = {}
-    found: dict[Prim, list[Prim]] = {}
+    every_mover, every_touched = defaultdict[str, list[Prim]](list), defaultdict[str, list[Prim]](list)
+    found = defaultdict[Prim, list[Prim]](list)
 
     def exclude(movers: Mapping[str, list[Prim]], touched: Mapping[str, list[Prim]], a: str, b: str) -> None:
         mover, other = (a, b) if a in movers else (b, a)
         if mover in touched and other in touched:
             for body in movers.get(mover, ()):
-                found.setdefault(body, []).extend(touched[other])
+                found[body] += touched[other]
 
-    for each in scene.objects:
-        for item in (each, *each.variants):
-            excluded = excluded_link_pairs(item)
-            if not excluded and not scene.no_contact:
-                continue
+    for item in (item for each in scene.objects for item in (each, *each.variants)):
+        excluded = excluded_link_pairs(item)
+        if excluded or scene.no_contact:
             movers, touched = _touchable(content_prim(scopes, item), item)
             for a, b in excluded:
                 exclude(movers, touched, item.qualified(a), item.qualified(b))
-            for name, prims in movers.items():
-                bodies.setdefault(name, []).extend(prims)
-            for name, prims in touched.items():
-                touched_by_link.setdefault(name, []).extend(prims)
+            for total, own in ((every_mover, movers), (every_touched, touched)):
+                for name, prims in own.items():
+                    total[name] += prims
     for a, b in scene.no_contact:
-        exclude(bodies, touched_by_link, a, b)
+        exclude(every_mover, every_touched, a, b)
     for body, prims in found.items():
         body.schemas += ["PhysicsFilteredPairsAPI"]
         body.relate("physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
@@ -233,8 +230,8 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
     unit = 1.0 if joint.type is JointType.PRISMATIC else math.degrees(1.0)
     if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
         lower, upper = joint.limits
-        prim.attribute("physics:lowerLimit", "float", rounded(lower * unit))
-        prim.attribute("physics:upperLimit", "float", rounded(upper * unit))
+        prim.floats(lower * unit, "physics:lowerLimit")
+        prim.floats(upper * unit, "physics:upperLimit")
         prim.attribute("mjc:solreflimit", "double[]", list(_LIMIT), uniform=True)
     if joint.closed is not None:
         prim.attribute("simfoundry:closed", "token", joint.closed, uniform=True)
@@ -246,10 +243,9 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
 def _ball(prim: Prim, joint: Joint) -> None:
     """Add a ball joint's damping, friction and armature about each axis for Newton, and its armature for PhysX."""
     prim.schemas += ["PhysxJointAPI", "NewtonJointAPI"]
-    prim.attribute("newton:armature", "float", rounded(joint.armature))
-    prim.attribute("newton:damping", "float", rounded(joint.damping / math.degrees(1.0)))
-    prim.attribute("newton:friction", "float", rounded(joint.friction))
-    prim.attribute("physxJoint:armature", "float", rounded(joint.armature))
+    prim.floats(joint.armature, "newton:armature", "physxJoint:armature")
+    prim.floats(joint.damping / math.degrees(1.0), "newton:damping")
+    prim.floats(joint.friction, "newton:friction")
 
 
 def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
@@ -258,18 +254,17 @@ def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: 
     Newton uses the same equation as the scene, whereas PhysX has all terms on one side. PhysX softens the constraint
     with a natural frequency, which is zero for a rigid gear.
     """
-    leader = f"{scope.path}/{mimic.joint}"
-    multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
+    physx, leader = f"physxMimicJoint:{_MIMIC}", f"{scope.path}/{mimic.joint}"
+    multiplier, offset = mimic.multiplier * unit / unit_of_leader, mimic.offset * unit
     prim.schemas += [f"PhysxMimicJointAPI:{_MIMIC}", "NewtonMimicAPI"]
-    prim.attribute("newton:mimicCoef0", "float", offset)
-    prim.attribute("newton:mimicCoef1", "float", multiplier)
+    prim.floats(offset, "newton:mimicCoef0")
+    prim.floats(multiplier, "newton:mimicCoef1")
     prim.relate("newton:mimicJoint", [leader])
-    prim.attribute(f"physxMimicJoint:{_MIMIC}:dampingRatio", "float", 0.0)
-    prim.attribute(f"physxMimicJoint:{_MIMIC}:gearing", "float", rounded(-multiplier))
-    prim.attribute(f"physxMimicJoint:{_MIMIC}:naturalFrequency", "float", 0.0)
-    prim.attribute(f"physxMimicJoint:{_MIMIC}:offset", "float", rounded(-offset))
-    prim.relate(f"physxMimicJoint:{_MIMIC}:referenceJoint", [leader])
-    prim.attribute(f"physxMimicJoint:{_MIMIC}:referenceJointAxis", "token", _MIMIC, uniform=True)
+    prim.floats(-multiplier, f"{physx}:gearing")
+    prim.floats(-offset, f"{physx}:offset")
+    prim.floats(0.0, f"{physx}:dampingRatio", f"{physx}:naturalFrequency")
+    prim.relate(f"{physx}:referenceJoint", [leader])
+    prim.attribute(f"{physx}:referenceJointAxis", "token", _MIMIC, uniform=True)
 
 
 def joint_frame(axis: Array) -> tuple[str, Pose]:
@@ -302,30 +297,24 @@ def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
     and the number of degrees per radian for an angle.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
+    motor, axis, state = f"drive:{kind}:physics", f"physxJointAxis:{kind}", f"state:{kind}:physics"
     drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)
     if joint.damping or joint.drive is not None:
         prim.schemas += [f"PhysicsDriveAPI:{kind}"]
-        prim.attribute(f"drive:{kind}:physics:damping", "float", rounded((joint.damping + drive.damping) / unit))
-        prim.attribute(f"drive:{kind}:physics:stiffness", "float", rounded(drive.stiffness / unit))
-        prim.attribute(f"drive:{kind}:physics:type", "token", "force", uniform=True)
+        prim.floats((joint.damping + drive.damping) / unit, f"{motor}:damping")
+        prim.floats(drive.stiffness / unit, f"{motor}:stiffness")
+        prim.attribute(f"{motor}:type", "token", "force", uniform=True)
     if joint.drive is not None:
-        prim.attribute(f"drive:{kind}:physics:targetPosition", "float", rounded(drive.target * unit))
+        prim.floats(drive.target * unit, f"{motor}:targetPosition")
         if drive.force_limit is not None:
-            prim.attribute(f"drive:{kind}:physics:maxForce", "float", rounded(drive.force_limit))
+            prim.floats(drive.force_limit, f"{motor}:maxForce")
         prim.attribute("simfoundry:damping", "double", rounded(joint.damping))
     if joint.friction or joint.armature:
         prim.schemas += ["PhysxJointAPI", f"PhysxJointAxisAPI:{kind}", "NewtonJointAPI"]
-        friction, armature = rounded(joint.friction), rounded(joint.armature)
-        prim.attribute("newton:armature", "float", armature)
-        prim.attribute("newton:friction", "float", friction)
-        prim.attribute("physxJoint:armature", "float", armature)
-        prim.attribute(f"physxJointAxis:{kind}:armature", "float", armature)
-        prim.attribute(f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
-        prim.attribute(f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
+        prim.floats(joint.armature, "newton:armature", "physxJoint:armature", f"{axis}:armature")
+        prim.floats(joint.friction, "newton:friction", f"{axis}:dynamicFrictionEffort", f"{axis}:staticFrictionEffort")
     if joint.friction:
         prim.attribute("mjc:solimpfriction", "double[]", list(_FRICTION), uniform=True)
-    position = rounded(joint.position * unit)
     prim.schemas += [f"PhysicsJointStateAPI:{kind}"]
-    prim.attribute(f"newton:{kind}:position", "float", position)
-    prim.attribute(f"state:{kind}:physics:position", "float", position)
-    prim.attribute(f"state:{kind}:physics:velocity", "float", 0.0)
+    prim.floats(joint.position * unit, f"newton:{kind}:position", f"{state}:position")
+    prim.floats(0.0, f"{state}:velocity")

@@ -78,6 +78,11 @@ class Prim:
         """Author an attribute; names that start with ``simfoundry:`` are custom because no schema defines them."""
         self.properties[name] = Attribute(type_name, value, uniform)
 
+    def floats(self, value: float, *names: str) -> None:
+        """Author single-precision attributes with the same value, rounded to twelve digits."""
+        for name in names:
+            self.attribute(name, "float", rounded(value))
+
     def connect(self, name: str, type_name: str, source: str) -> None:
         """Author an attribute that is connected to the property at the path ``source``."""
         self.properties[name] = Attribute(type_name, None, source=source)

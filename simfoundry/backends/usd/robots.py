@@ -6,9 +6,8 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from simfoundry.backends.artifact import rounded
 from simfoundry.backends.features import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
@@ -20,7 +19,7 @@ from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot, m
 from simfoundry.scene.robot_files import model_files
 
 if TYPE_CHECKING:
-    from pxr import Sdf, Usd
+    from pxr import Usd
 
 # Rotation from a y-up stage to a z-up stage.
 _UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
@@ -30,7 +29,7 @@ _LAYER = re.compile(r"layer @([^@]+)@")
 
 @dataclass
 class RobotsInUsd:
-    """The robots of a stage: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
+    """The robots on a stage: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
@@ -132,12 +131,12 @@ def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
     from pxr import UsdPhysics
 
     kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
-    value = rounded(position * (1.0 if kind == "linear" else math.degrees(1.0)))
+    value = position * (1.0 if kind == "linear" else math.degrees(1.0))
     spec.schemas += [f"PhysicsJointStateAPI:{kind}"]
-    spec.attribute(f"state:{kind}:physics:position", "float", value)
-    spec.attribute(f"state:{kind}:physics:velocity", "float", 0.0)
+    spec.floats(value, f"state:{kind}:physics:position")
+    spec.floats(0.0, f"state:{kind}:physics:velocity")
     if UsdPhysics.DriveAPI.Get(joint, kind):
-        spec.attribute(f"drive:{kind}:physics:targetPosition", "float", value)
+        spec.floats(value, f"drive:{kind}:physics:targetPosition")
 
 
 def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
@@ -145,21 +144,14 @@ def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
     from pxr import Usd, UsdPhysics
 
     bodies = [p for p in Usd.PrimRange(default) if p.HasAPI(UsdPhysics.RigidBodyAPI)]
-    for joint in (p for p in Usd.PrimRange(default) if p.IsA(UsdPhysics.Joint)):
-        ends: list[Any] = [UsdPhysics.Joint(joint).GetBody0Rel(), UsdPhysics.Joint(joint).GetBody1Rel()]
-        moved = [[t for t in end.GetTargets() if _is_body(default, t)] for end in ends]
-        if sum(bool(targets) for targets in moved) == 1:
+    stage = default.GetStage()
+    for joint in (UsdPhysics.Joint(p) for p in Usd.PrimRange(default) if p.IsA(UsdPhysics.Joint)):
+        ends = [map(stage.GetPrimAtPath, end.GetTargets()) for end in (joint.GetBody0Rel(), joint.GetBody1Rel())]
+        if sum(any(p and p.HasAPI(UsdPhysics.RigidBodyAPI) for p in end) for end in ends) == 1:
             return
     if bodies:
         anchor = prim.define("Anchor", "PhysicsFixedJoint")
         anchor.relate("physics:body1", [_over(model, default, bodies[0])])
-
-
-def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
-    from pxr import UsdPhysics
-
-    prim = default.GetStage().GetPrimAtPath(path)
-    return bool(prim) and prim.HasAPI(UsdPhysics.RigidBodyAPI)
 
 
 def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
@@ -171,9 +163,11 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
             yield drop("mounted_cameras", mounted.camera.name, reason)
         for prim, X_LF in found:
             define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
-        for variant in _without(scene, mounted):
-            reason = f"Variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
-            yield approximate("mounted_cameras", mounted.camera.name, reason)
+        item = scene.by_name.get(mounted.carrier)
+        for one in (item, *item.variants) if item is not None and mounted.link else ():
+            if one.variant and mounted.link not in {link.name for link in one.links}:
+                reason = f"Variant `{one.variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
+                yield approximate("mounted_cameras", mounted.camera.name, reason)
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
@@ -188,12 +182,3 @@ def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: Mounte
         name = mounted.link or one.root.name
         if name in links:
             yield links[name], Pose.of()
-
-
-def _without(scene: Scene, mounted: MountedCamera) -> Iterator[str]:
-    """Yield the variants of an object that lack the link on which a camera is mounted."""
-    item = scene.by_name.get(mounted.carrier)
-    if item is not None and mounted.link:
-        for one in (item, *item.variants):
-            if one.variant and mounted.link not in {link.name for link in one.links}:
-                yield one.variant

@@ -77,19 +77,16 @@ def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, sch
             return prim
         case Box():
             prim.attribute("size", "double", 1.0)
-            half = [0.5, 0.5, 0.5]
+            half = (0.5, 0.5, 0.5)
         case Sphere(radius=radius):
-            half = [radius] * 3
-        case Cylinder(radius=radius, height=height):
-            half = [radius, radius, height / 2]
-        case Capsule(radius=radius, height=height):
-            half = [radius, radius, height / 2 + radius]
-    if not isinstance(geometry, Box):
-        prim.attribute("radius", "double", rounded(geometry.radius))
-    if isinstance(geometry, Cylinder | Capsule):
-        prim.attribute("axis", "token", "Z", uniform=True)
-        prim.attribute("height", "double", rounded(geometry.height))
-    prim.attribute("extent", "float3[]", [tuple([-v for v in half]), tuple(half)])
+            prim.attribute("radius", "double", rounded(radius))
+            half = (radius, radius, radius)
+        case Cylinder(radius=radius, height=height) | Capsule(radius=radius, height=height):
+            prim.attribute("radius", "double", rounded(radius))
+            prim.attribute("axis", "token", "Z", uniform=True)
+            prim.attribute("height", "double", rounded(height))
+            half = (radius, radius, height / 2 + (radius if isinstance(geometry, Capsule) else 0.0))
+    prim.attribute("extent", "float3[]", [tuple([-v for v in half]), half])
     return prim
 
 
@@ -186,9 +183,9 @@ def linear_from_srgb(rgb: Array) -> Array:
 def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
     surface = material.define("Surface", "Shader")
     surface.attribute("info:id", "token", "UsdPreviewSurface", uniform=True)
-    surface.attribute("inputs:metallic", "float", 0.0)
-    surface.attribute("inputs:opacity", "float", rounded(rgba[3]))
-    surface.attribute("inputs:roughness", "float", 0.5)
+    surface.floats(0.0, "inputs:metallic")
+    surface.floats(rgba[3], "inputs:opacity")
+    surface.floats(0.5, "inputs:roughness")
     surface.attribute("outputs:surface", "token", None)
     color = linear_from_srgb(rgba[:3])
     if texture:
@@ -211,8 +208,8 @@ def _texture(material: Prim, color: Array, texture: str) -> Prim:
     image.attribute("inputs:scale", "float4", (*vec3(color), 1.0))
     image.attribute("inputs:sourceColorSpace", "token", "sRGB")
     image.connect("inputs:st", "float2", f"{reader.path}.outputs:result")
-    image.attribute("inputs:wrapS", "token", "repeat")
-    image.attribute("inputs:wrapT", "token", "repeat")
+    for side in "ST":
+        image.attribute(f"inputs:wrap{side}", "token", "repeat")
     image.attribute("outputs:rgb", "float3", None)
     return image
 
@@ -223,28 +220,24 @@ def contact_material(scope: Prim, collider: Collider) -> Prim:
     It contains √μ and √e with PhysX's combine mode ``multiply``, which yields geometric means. The surface's own
     coefficients are stored in ``simfoundry:friction`` and ``simfoundry:restitution``.
     """
-    friction, restitution = number(collider.friction), number(collider.restitution)
-    name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"
-    spinning, rolling = number(collider.torsional_friction), number(collider.rolling_friction)
+    name = f"friction_{_word(collider.friction)}_restitution_{_word(collider.restitution)}"
     resists = collider.torsional_friction > 0 or collider.rolling_friction > 0
     if resists:
-        name += f"_spinning_{_word(spinning)}_rolling_{_word(rolling)}"
+        name += f"_spinning_{_word(collider.torsional_friction)}_rolling_{_word(collider.rolling_friction)}"
     if name not in scope.children:
         prim = scope.define(name, "Material", ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
-        root = rounded(math.sqrt(collider.friction))
-        prim.attribute("physics:dynamicFriction", "float", root)
-        prim.attribute("physics:restitution", "float", rounded(math.sqrt(collider.restitution)))
-        prim.attribute("physics:staticFriction", "float", root)
-        prim.attribute("physxMaterial:frictionCombineMode", "token", "multiply", uniform=True)
-        prim.attribute("physxMaterial:restitutionCombineMode", "token", "multiply", uniform=True)
-        prim.attribute("simfoundry:friction", "double", float(friction))
-        prim.attribute("simfoundry:restitution", "double", float(restitution))
+        prim.floats(math.sqrt(collider.friction), "physics:dynamicFriction", "physics:staticFriction")
+        prim.floats(math.sqrt(collider.restitution), "physics:restitution")
+        for quantity in ("friction", "restitution"):
+            prim.attribute(f"physxMaterial:{quantity}CombineMode", "token", "multiply", uniform=True)
+            prim.attribute(f"simfoundry:{quantity}", "double", rounded(getattr(collider, quantity)))
         if resists:
             prim.schemas += ["NewtonMaterialAPI"]
-            prim.attribute("newton:rollingFriction", "float", float(rolling))
-            prim.attribute("newton:torsionalFriction", "float", float(spinning))
+            prim.floats(collider.rolling_friction, "newton:rollingFriction")
+            prim.floats(collider.torsional_friction, "newton:torsionalFriction")
     return scope.children[name]
 
 
-def _word(text: str) -> str:
-    return text.replace(".", "_").replace("-", "m").replace("+", "")
+def _word(value: float) -> str:
+    """Format a number as part of a prim name."""
+    return number(value).replace(".", "_").replace("-", "m").replace("+", "")

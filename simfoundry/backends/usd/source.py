@@ -1,11 +1,11 @@
 """Storage of a scene's source document in the stage, with a record of the stage as written by the backend.
 
-The data is stored in prim metadata, which USD composes, so it survives flattening, crates, sublayers and references. In
-``customData`` under ``simfoundry``, the default prim stores the document without the parts that have their own prims
-(``document``). Each part stores its own data (``spec``) and its path in the document (``part``), so that copying or
-deleting a prim also copies or deletes its data. ``built`` records the values written by the backend, which allows
-readers to detect later edits. In an object with variants, each variant has its own ``built``, and its name as
-``variant``; the composed stage contains those of the selected variant.
+The data is stored in prim metadata, which USD composes, so the data survives flattening, crates, sublayers and
+references. In ``customData`` under ``simfoundry``, the default prim stores the document without the parts that have
+their own prims (``document``). Each part stores its own data (``spec``) and its path in the document (``part``), so
+copying or deleting a prim also copies or deletes its data. ``built`` records the values written by the backend, which
+allows readers to detect later edits. In an object with variants, each variant has its own ``built`` and ``variant``,
+which is the variant's name; the composed stage contains the entries of the selected variant.
 """
 
 from __future__ import annotations
@@ -113,6 +113,13 @@ def plain(value: Any) -> Any:
 
     Returns None for all other types, including arrays.
     """
+    kind = type(value).__name__
+    if kind.endswith("Array"):
+        return None
+    if kind.startswith("Quat"):
+        value = (value.GetReal(), *value.GetImaginary())
+    elif kind.startswith("Vec"):  # indexing is faster, because pxr ends iterations with a translated exception
+        value = tuple([value[k] for k in range(len(value))])
     match value:
         case float():
             return float(_NUMBER % value)
@@ -122,14 +129,6 @@ def plain(value: Any) -> Any:
             return value
         case tuple() if value and isinstance(value[0], float | int):
             return [v if type(v) is int else float(_NUMBER % v) for v in value]
-    kind = type(value).__name__
-    if kind.endswith("Array"):
-        return None
-    if kind.startswith("Quat"):
-        return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
-    if kind.startswith("Vec"):  # indexing is faster, because pxr ends iterations with a translated exception
-        values = [value[k] for k in range(len(value))]
-        return [v if type(v) is int else float(_NUMBER % v) for v in values]
     return None
 
 

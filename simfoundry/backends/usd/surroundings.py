@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.prims import Prim, vec3
 from simfoundry.backends.usd.shapes import author, crate_bytes, define_visual, linear_from_srgb, new_crate
 from simfoundry.geometry.frames import Pose
@@ -31,7 +30,7 @@ def define_background(world: Prim, looks: Prim, background: Background) -> None:
 
 
 def splat_layer(splat: Splat) -> bytes:
-    """Return a layer whose default prim is the Gaussian field, with colors as spherical harmonics sorted by order."""
+    """Return a layer whose default prim is the Gaussian field; colors are spherical harmonics, sorted by order."""
     from pxr import Sdf, Vt
 
     layer = new_crate("splat")
@@ -73,13 +72,13 @@ def define_camera(scope: Prim, camera: Camera) -> None:
     up = camera.cy + HALF_PIXEL - camera.height / 2
     tall = PIXEL * camera.fx / camera.fy
     prim.attribute("clippingRange", "float2", (0.01, 1000.0))
-    prim.attribute("focalLength", "float", rounded(camera.fx * PIXEL))
-    prim.attribute("horizontalAperture", "float", rounded(camera.width * PIXEL))
-    prim.attribute("horizontalApertureOffset", "float", rounded(right * PIXEL))
+    prim.floats(camera.fx * PIXEL, "focalLength")
+    prim.floats(camera.width * PIXEL, "horizontalAperture")
+    prim.floats(right * PIXEL, "horizontalApertureOffset")
     prim.attribute("projection", "token", "perspective")
     prim.attribute("simfoundry:resolution", "int2", (camera.width, camera.height), uniform=True)
-    prim.attribute("verticalAperture", "float", rounded(camera.height * tall))
-    prim.attribute("verticalApertureOffset", "float", rounded(up * tall))
+    prim.floats(camera.height * tall, "verticalAperture")
+    prim.floats(up * tall, "verticalApertureOffset")
     prim.place(camera.X_WC @ X_CU)
 
 
@@ -103,7 +102,7 @@ def define_light(scope: Prim, light: Light) -> None:
         case LightType.DOME:
             prim = scope.define(light.name, "DomeLight")
     prim.attribute("inputs:color", "color3f", vec3(linear_from_srgb(light.rgb)))
-    prim.attribute("inputs:intensity", "float", rounded(light.intensity * FULL[light.type]))
+    prim.floats(light.intensity * FULL[light.type], "inputs:intensity")
     if light.type is not LightType.DOME:
         prim.attribute("inputs:normalize", "bool", True)
     prim.place(light.X_WL)

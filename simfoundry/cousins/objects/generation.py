@@ -29,7 +29,7 @@ from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.models.generators import ImageEditor, MeshMaker, images_from_environment, meshes_from_environment
+from simfoundry.models.generators import HttpImages, HttpMeshes, images_from_environment, meshes_from_environment
 from simfoundry.models.vlm import Vlm
 from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import install_line
@@ -87,8 +87,8 @@ class Generation:
     """
 
     vlm: PromptModel
-    images: ImageEditor
-    meshes: MeshMaker
+    images: HttpImages
+    meshes: HttpMeshes
     scene: bytes
     picture: bytes | None = None
     counts: tuple[int, int, int] = (2, 2, 2)

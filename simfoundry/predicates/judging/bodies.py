@@ -11,10 +11,10 @@ from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose, Turn
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
-from simfoundry.scene.robot import Robot, mujoco_model
 
 if TYPE_CHECKING:
     from simfoundry.backends.robot_models.robot_object import RobotObject
+    from simfoundry.scene.robot import NativeModel, Robot
 
 
 class PredicateError(SimfoundryError, ValueError):
@@ -76,7 +76,7 @@ class Bodies:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
-        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r) is not None)
+        self.robots = tuple(r.name for r in scene.robots if _native_model(r) is not None)
         self._bodies: dict[str, CollisionBody] = {}
         self._hollow: dict[Entity, tuple[int, ...]] = {}
 
@@ -101,7 +101,7 @@ class Bodies:
         body = self._body(owner)
         links = body.item.links
         if part and body.robot is not None:
-            native = mujoco_model(self.scene.robot(owner))
+            native = _native_model(self.scene.robot(owner))
             link = part if native is None else native.frame(part).link
             part = body.robot.links.get(link, link)
         if part:
@@ -161,11 +161,17 @@ class Bodies:
         )
 
 
+def _native_model(robot: Robot) -> NativeModel | None:
+    from simfoundry.scene.robot import mujoco_model  # most scenes that `check` reads have no robot
+
+    return mujoco_model(robot)
+
+
 def _robot_object(robot: Robot) -> RobotObject | None:
     from simfoundry.backends.robot_models.mujoco_robot import read_robot
     from simfoundry.backends.robot_models.robot_object import as_object
 
-    native = mujoco_model(robot)
+    native = _native_model(robot)
     return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from simfoundry.predicates.judging.bodies import Bodies, CollisionBody, Entity
 from simfoundry.predicates.judging.distances import FAR, Distances
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
 from simfoundry.predicates.judging.view import StateBatch, View
-from simfoundry.scene.robot import Gripper, mujoco_model
+
+if TYPE_CHECKING:
+    from simfoundry.scene.robot import Gripper
 
 # Minimum motion [m] for a link to count as a finger when the gripper closes.
 STILL = 0.001
@@ -33,6 +36,8 @@ class Fingers:
 
 def fingers(bodies: Bodies, name: str) -> Fingers | None:
     """Find a robot's fingers from the motion of its links when the gripper closes; return None without a gripper."""
+    from simfoundry.scene.robot import mujoco_model
+
     body = bodies[name]
     native = mujoco_model(bodies.scene.robot(name))
     if body.robot is None or native is None or native.gripper is None:

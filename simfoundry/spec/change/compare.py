@@ -16,7 +16,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.files import FileError, Loaded
 from simfoundry.spec.load import kind_of, load
 from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.base import DocumentSpec
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import Place, SceneSpec
 from simfoundry.spec.yaml.write import to_data
@@ -24,9 +24,14 @@ from simfoundry.spec.yaml.write import to_data
 
 @dataclass(frozen=True)
 class Side:
-    """One of two compared states of a document; ``label`` is its display name, such as ``HEAD~1:desk.scene.yaml``.
+    """One of two compared states of a document.
 
-    ``spec`` is the valid part of the document, or None if no part is valid; ``text`` is the file content.
+    Attributes:
+        label: The display name, such as ``HEAD~1:desk.scene.yaml``.
+        loaded: The document as it was loaded.
+        spec: The valid part of the document, or None if no part is valid.
+        text: The content of the file.
+        findings: The errors in the document.
     """
 
     label: str
@@ -43,7 +48,7 @@ class Side:
 
 @dataclass(frozen=True)
 class DocumentComparison:
-    """Comparison of two states of the document ``name``; a side is None if the document does not exist then."""
+    """Comparison of two states of the document ``name``; a side is None if the document does not exist there."""
 
     name: str
     old: Side | None
@@ -51,7 +56,7 @@ class DocumentComparison:
     changes: tuple[Change, ...]
     entries: tuple[MemberChange, ...]
     obstacle: str = ""
-    """Reason why the two states cannot be compared; empty if they can."""
+    """The reason why the two states cannot be compared; empty if they can be."""
 
     @property
     def differs(self) -> bool:
@@ -65,7 +70,7 @@ class DocumentComparison:
 
     @property
     def along(self) -> tuple[str, ...]:
-        """Return the objects that moved only because an object that their place refers to moved."""
+        """Return the objects that moved only because an object that their `place` refers to has moved."""
         if self.new is None or not isinstance(self.new.spec, SceneSpec):
             return ()
         named = {e.name for e in self.entries if e.section == "objects"}
@@ -111,19 +116,18 @@ def side(path: Path, label: str, root: Path | None = None) -> Side:
 def compare(
     name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True
 ) -> DocumentComparison:
-    """Compare two states of a document and, unless ``files`` is false, the files that both refer to."""
-    present = [s for s in (old, new) if s is not None]
-    unsound = [s for s in present if s.spec is None]
+    """Compare two states of a document and, unless ``files`` is False, the files that both states refer to."""
+    unsound = [s.label for s in (old, new) if s is not None and s.spec is None]
     if unsound:
-        reason = f"no part of {' or '.join(s.label for s in unsound)} is valid"
-        return DocumentComparison(name, old, new, (), (), reason)
-    if old is None or new is None:
+        return DocumentComparison(name, old, new, (), (), f"no part of {' or '.join(unsound)} is valid")
+    if old is None or new is None or old.spec is None or new.spec is None:
         return DocumentComparison(name, old, new, (), ())
-    assert old.spec is not None and new.spec is not None
     if type(old.spec) is not type(new.spec):
-        kinds = [str(s.data["simfoundry"]) for s in present]
-        return DocumentComparison(name, old, new, (), (), f"the kind changed from `{kinds[0]}` to `{kinds[1]}`")
-    before = _named_alike(old, new)
+        kinds = f"from `{old.data['simfoundry']}` to `{new.data['simfoundry']}`"
+        return DocumentComparison(name, old, new, (), (), f"the kind changed {kinds}")
+    before = old.data
+    if old.loaded.root == new.loaded.root:  # make file references relative to the same folder
+        before = relocated(before, type(old.spec), old.loaded.path.parent, new.loaded.path.parent)
     changes = diff(before, new.data)
     entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
     if files:
@@ -131,16 +135,8 @@ def compare(
     return DocumentComparison(name, old, new, changes, entries)
 
 
-def _named_alike(old: Side, new: Side) -> dict[str, Any]:
-    """Return the old data with file references relative to the new folder if both folders are in the same project."""
-    assert old.spec is not None
-    if old.loaded.root != new.loaded.root:
-        return old.data
-    return relocated(old.data, type(old.spec), old.loaded.path.parent, new.loaded.path.parent)
-
-
 def _sound(loaded: Loaded) -> DocumentSpec | None:
-    """Return the valid part of a document with errors; None if a document that it extends is missing."""
+    """Return the valid part of a document with errors, or None if a document that it extends is missing."""
     document = loaded.document
     if document is None or not isinstance(document.data, dict):
         return None
@@ -151,14 +147,14 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """Return a copy of a finding with the file name replaced by the display name of the side."""
+    """Return a finding in which the file name is replaced with the display name of the side."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
     file = Path(d.file).resolve()
-    if not colon or not file.is_relative_to(loaded.root):
-        return d
-    return replace(d, file=f"{revision}:{file.relative_to(loaded.root).as_posix()}")
+    if colon and file.is_relative_to(loaded.root):
+        return replace(d, file=f"{revision}:{file.relative_to(loaded.root).as_posix()}")
+    return d
 
 
 def _content(side: Side | None) -> str:
@@ -185,35 +181,28 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
 
 
 def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
-    """Return changes of objects whose text is unchanged but whose asset or mesh file differs."""
+    """Return the objects whose text is unchanged but whose asset or mesh file differs."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
     entries = []
-    for name, item in new.spec.objects.items():
-        before = old.spec.objects.get(name)
-        for key in ("asset", "visual"):
-            reference = getattr(item, key)
-            if before is None or reference is None or reference != getattr(before, key):
-                continue
-            fact = _file_change(old.loaded, new.loaded, reference, verbose)
+    for name in (name for name in new.spec.objects if name in old.spec.objects):
+        before, item = old.spec.objects[name], new.spec.objects[name]
+        for was, reference in ((before.asset, item.asset), (before.visual, item.visual)):
+            fact = _file_change(old.loaded, new.loaded, reference, verbose) if reference and was == reference else ""
             if fact:
                 entries.append(MemberChange("objects", name, "", ("changed",), (), (fact,)))
     return entries
 
 
 def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str:
-    """Summarize the changes of a file that both sides refer to; empty if the file is unchanged."""
+    """Summarize the changes to a file that both sides refer to, or return an empty string if it is unchanged."""
     before, after = old.used(reference), new.used(reference)
     if before is None or after is None:
         return f"{reference} is a different file" if _bytes(old, reference) != _bytes(new, reference) else ""
     if before.spec is None or after.spec is None:
         return ""
-    entries = describe(to_data(before.spec), to_data(after.spec), _model(after), verbose=verbose)
+    entries = describe(to_data(before.spec), to_data(after.spec), type(after.spec), verbose=verbose)
     return f"{reference} changed ({summary(entries)})" if entries else ""
-
-
-def _model(loaded: Loaded) -> type[Model] | None:
-    return type(loaded.spec) if loaded.spec is not None else None
 
 
 def _bytes(loaded: Loaded, reference: str) -> bytes:

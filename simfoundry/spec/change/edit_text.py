@@ -9,12 +9,12 @@ rewritten in canonical form; comments are kept.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import yaml
 
-from simfoundry.spec.change.diff.changes import Add, Change, Path_, Remove, Rename, Reorder, Set, diff, members, same
+from simfoundry.spec.change.diff.changes import Add, Path_, Remove, Rename, Reorder, Set, diff, members, same
 from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import KeyOrder, key_order
@@ -33,21 +33,20 @@ def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
     The order of keys in ``data`` is ignored. Raises :class:`YamlError` if ``text`` could not be parsed.
     """
     body = text.removeprefix(_BOM)
+    mark = text.removesuffix(body)
     document = parse(body)
-    for _ in range(len(diff(document.data, data)) + 1):
+    for _ in range(len(diff(document.data, data)) + 2):
         if _same_content(document.data, data):
-            return text[: len(text) - len(text.removeprefix(_BOM))] + body
+            return mark + body
         splices = _Round(document, data, model).splices()
-        if not splices:
-            break
         for start, end, new in sorted(splices, reverse=True):
             body = body[:start] + new + body[end:]
         try:
             document = parse(body)
         except YamlError:
             break
-    if _same_content(document.data, data):
-        return text[: len(text) - len(text.removeprefix(_BOM))] + body
+        if not splices:
+            break
     return write_tree(with_data(read_tree(parse(text)), data), model)
 
 
@@ -55,8 +54,8 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
     """Return the data that a document must contain so that joining it with its base changes ``before`` to ``after``.
 
     ``own`` is the document's current data, and ``base`` is the data of the document that it extends, both at the same
-    path; either may be :data:`ABSENT`. Members of the base that are not in ``after`` are set to null, which removes
-    them.
+    path; either may be :data:`ABSENT`. Members of the base that ``after`` does not contain are set to null, which
+    removes them.
     """
     if before is not ABSENT and after is not ABSENT and same(before, after):
         return own
@@ -64,13 +63,9 @@ def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
         return ABSENT if base is ABSENT else None
     if isinstance(before, dict) and isinstance(after, dict) and (isinstance(own, dict) or isinstance(base, dict)):
         mine = own if isinstance(own, dict) else {}
-        theirs = base if isinstance(base, dict) else {}
-        pairs = {
-            key: own_data(
-                mine.get(key, ABSENT), before.get(key, ABSENT), after.get(key, ABSENT), theirs.get(key, ABSENT)
-            )
-            for key in dict.fromkeys((*mine, *before, *after))
-        }
+        sides = (mine, before, after, base if isinstance(base, dict) else {})
+        keys = dict.fromkeys((*mine, *before, *after))
+        pairs = {key: own_data(*(side.get(key, ABSENT) for side in sides)) for key in keys}
         kept = {key: value for key, value in pairs.items() if value is not ABSENT}
         return kept if kept or not mine else ABSENT
     return after
@@ -89,10 +84,15 @@ def _same_content(a: Any, b: Any) -> bool:
 
 @dataclass(slots=True)
 class _Span:
-    """Position of a value in a text: [start, end); its key starts at ``key`` (-1 if it has no key).
+    """The position of a value in a text, as character indices.
 
-    ``children`` are the members of a block collection or of a mapping in braces. It is None for values that are
-    replaced as a whole: scalars, aliases, lists in brackets, and mappings in braces that contain a string with a comma.
+    Attributes:
+        start: The start of the value.
+        end: The end of the value, exclusive.
+        key: The start of the value's key, or -1 if the value has no key.
+        flow: True for a collection in brackets or braces.
+        children: The members of a block collection or of a mapping in braces, or None for values that are replaced as a
+            whole: scalars, aliases, lists in brackets, and mappings in braces that contain a predicate.
     """
 
     start: int
@@ -111,80 +111,69 @@ def _spans(text: str) -> _Span:
     return _Span(0, 0)
 
 
+# Events at the end of a collection.
+_ENDS: Any = (yaml.SequenceEndEvent, yaml.MappingEndEvent)
+
+
 def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
-    start, end = event.start_mark.index, event.end_mark.index
-    ends: list[int] = []
+    start, end, flow = event.start_mark.index, event.end_mark.index, getattr(event, "flow_style", False)
     if isinstance(event, yaml.SequenceStartEvent):
-        items = [_span(e, events, text) for e in _until(yaml.SequenceEndEvent, events, ends)]
-        if event.flow_style:
-            return _Span(start, ends[0], flow=True)
+        items: list[_Span] = []
+        while not isinstance(event := next(events), _ENDS):
+            items.append(_span(event, events, text))
+        if flow:
+            return _Span(start, event.end_mark.index, flow=True)
         return _Span(start, items[-1].end if items else end, children=items)
     if isinstance(event, yaml.MappingStartEvent):
         found: dict[str, _Span] = {}
-        for key in _until(yaml.MappingEndEvent, events, ends):
+        while not isinstance(key := next(events), _ENDS):
             span = _span(next(events), events, text)
             span.key = key.start_mark.index
             span.end = max(span.end, key.end_mark.index)
             found[str(getattr(key, "value", ""))] = span
-        if event.flow_style:
-            whole = "(" in text[start : ends[0]]
-            return _Span(start, ends[0], flow=True, children=None if whole else found)
+        if flow:
+            end = key.end_mark.index
+            return _Span(start, end, flow=True, children=None if "(" in text[start:end] else found)
         return _Span(start, max((s.end for s in found.values()), default=end), children=found)
     if getattr(event, "style", None) in ("|", ">"):
         end = start + len(text[start:end].rstrip())
     return _Span(start, end)
 
 
-def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
-    """Yield events until one of type ``kind``, and append its end position to ``ends``."""
-    for event in events:
-        if isinstance(event, kind):
-            ends.append(event.end_mark.index)
-            return
-        yield event
-
-
-# Replacement of [start, end) of a text by a new text.
+# The start and end (exclusive) of a part of a text, and the new text that replaces this part.
 Splice = tuple[int, int, str]
 
 
-@dataclass
 class _Round:
     """One pass over a text, which applies either renames, value changes, or the removal or addition of one member."""
 
-    document: Document
-    data: Any
-    model: type[Model] | None
-    text: str = field(init=False)
-    root: _Span = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.text, self.root = self.document.text, _spans(self.document.text)
+    def __init__(self, document: Document, data: Any, model: type[Model] | None) -> None:
+        self.document, self.data, self.model = document, data, model
+        self.text, self.root = document.text, _spans(document.text)
         self.newline = "\r\n" if "\r\n" in self.text else "\n"
 
     def splices(self) -> list[Splice]:
         """Return the next replacements, or an empty list if the changes cannot be applied in place."""
-        changes: list[Change] = [*diff(self.document.data, self.data)]
-        renames = [self._key(c) for c in changes if isinstance(c, Rename)]
-        if renames:
-            return [splice for splice in renames if splice is not None]
+        changes = diff(self.document.data, self.data)
+        renames = [c for c in changes if isinstance(c, Rename)]
         values = {self._place(c.path) for c in changes if isinstance(c, Set)}
-        if values:
-            return self._without_nested([s for s in map(self._value, values) if s is not None])
-        for change in changes:
-            if isinstance(change, Remove):
-                splice = self._removal(change.path)
-                return [splice] if splice else []
-        for change in changes:
-            if isinstance(change, Add):
-                splice = self._addition(change.path, change.value)
-                return [splice] if splice else []
-        lists = [c.section for c in changes if isinstance(c, Reorder) and not isinstance(self._wanted(c.section), dict)]
-        return [splice for splice in map(self._value, map(self._place, lists)) if splice is not None]
-
-    @staticmethod
-    def _without_nested(splices: list[Splice]) -> list[Splice]:
-        """Drop splices that are contained in another splice."""
+        removed = [c for c in changes if isinstance(c, Remove)]
+        added = [c for c in changes if isinstance(c, Add)]
+        found: list[Splice | None]
+        if renames:
+            found = [self._key(rename) for rename in renames]
+        elif values:
+            found = [self._value(path) for path in values]
+        elif removed:
+            found = [self._removal(removed[0].path)]
+        elif added:
+            found = [self._addition(added[0].path, added[0].value)]
+        else:
+            orders = [c.section for c in changes if isinstance(c, Reorder)]
+            lists = [path for path in orders if not isinstance(self._wanted(path), dict)]
+            found = [self._value(self._place(path)) for path in lists]
+        splices = [splice for splice in found if splice is not None]
+        # A splice inside another one is already part of it.
         return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
 
     # -- positions --------------------------------------------------------------------------------------------------
@@ -206,7 +195,7 @@ class _Round:
         return spans
 
     def _place(self, path: Path_) -> Path_:
-        """Return the longest prefix of a path that exists in the text."""
+        """Return the longest part of a path, from its start, that exists in the text."""
         return path[: len(self._steps(path)) - 1]
 
     def _tree(self, path: Path_) -> YamlTree:

@@ -16,9 +16,13 @@ from simfoundry.spec.yaml.write import write_tree
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
     """Return the canonical text of a composed document with all default values written out.
 
-    Fields whose value is derived from elsewhere, such as a friction coefficient defined by the material, are omitted.
-    Flattening is idempotent. File references are relative to ``into`` if it is given, and otherwise to ``folder``,
-    which is the document's folder.
+    Fields with derived values, such as a friction coefficient defined by the material, are omitted. Flattening is
+    idempotent.
+
+    Args:
+        spec: The composed document.
+        folder: The document's folder.
+        into: The folder that file references become relative to, by default ``folder``.
     """
     data = full(spec)
     data.pop("extends", None)
@@ -37,7 +41,7 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """Return the SHA-256 of a flattened text as hex digits; it does not depend on the formatting of a document."""
+    """Return the SHA-256 of a flattened text as hex digits; it is independent of the document's formatting."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

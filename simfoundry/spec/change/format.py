@@ -41,10 +41,7 @@ def format_text(text: str, file: str = "<text>", schema: str | None = None) -> s
     If ``schema`` (a relative path or a URL) is given, the first line refers editors to it; otherwise, an existing
     schema line is kept.
     """
-    try:
-        document = parse(text, file)
-    except YamlError as error:
-        raise SpecError([error.diagnostic(file)]) from None
+    document = _parsed(file, text)
     return _formatted(document, _model(document), schema)
 
 
@@ -55,10 +52,7 @@ def format_file(path: Path) -> Formatted:
     ``.simfoundry/schemas/``, the first line refers editors to that schema. An existing reference to a different schema
     is kept if that schema exists or is a URL.
     """
-    try:
-        document = read(path)
-    except YamlError as error:
-        raise SpecError([error.diagnostic(str(path))]) from None
+    document = _parsed(str(path))
     model = _model(document)
     return Formatted(document.text, _formatted(document, model, schema_line(path, document)))
 
@@ -66,10 +60,10 @@ def format_file(path: Path) -> Formatted:
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
     """Return the schema path to write in the first line, or None if the line does not need to change.
 
-    The search goes up to ``root``, by default the root of the document's project.
+    Schemas are searched for in the document's folder and its parents up to ``root``, which is the root of the
+    document's project by default.
     """
-    tree = YamlTree(None, tuple(_top_comments(document.text)))
-    named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
+    named = next((m[1] for m in map(_MODELINE.match, _top_comments(document.text)) if m), None)
     folder = path.resolve().parent
     if named is not None and ("://" in named or (folder / named).is_file()):
         return None
@@ -99,11 +93,11 @@ def _model(document: Document) -> type[Model]:
 
 def _formatted(document: Document, model: type[Model], schema: str | None) -> str:
     tree = read_tree(document)
-    lines = [c for c in tree.above if _MODELINE.match(c)]
-    others = [c for c in tree.above if not _MODELINE.match(c)]
+    lines = sorted(tree.above, key=lambda comment: not _MODELINE.match(comment))  # stable sort
     if schema is not None:
-        lines = [f"# yaml-language-server: $schema={schema}", *lines[1:]]
-    return write_tree(replace(tree, above=(*lines, *others)), model)
+        kept = lines[1:] if lines and _MODELINE.match(lines[0]) else lines
+        lines = [f"# yaml-language-server: $schema={schema}", *kept]
+    return write_tree(replace(tree, above=tuple(lines)), model)
 
 
 @dataclass(frozen=True)
@@ -117,7 +111,7 @@ class Migration:
 # Migration for each older kind and version, such as ``scene/1``.
 #
 # All kinds are still at version 1, so no migrations exist yet. Add a migration for each change that alters the meaning
-# of older files. A renamed key does not need a migration, because its field records the former key (``FormerKey``).
+# of older files. A renamed key does not need a migration, because its field records the old key (``FormerKey``).
 STEPS: Mapping[str, Migration] = {}
 
 # Characters that the parser treats as line breaks.
@@ -127,10 +121,10 @@ _LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
     """Return the text of a document in the latest version of its kind, with current key names.
 
-    A text that is already up to date is returned unchanged. If the version changed, the result is in canonical form.
-    Raises :class:`SpecError` for an unknown kind.
+    A text that is already up to date is returned unchanged. If the version changes, the result is in canonical form.
+    Raises :class:`SpecError` if the kind is unknown.
     """
-    document = _parsed(text, file)
+    document = _parsed(file, text)
     kind = _kind(document, steps)
     if kind in steps:
         tree, seen = read_tree(document), [kind]
@@ -142,19 +136,20 @@ def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> st
             if kind in seen:
                 raise ValueError(f"the steps from {seen[0]} lead back to {kind}")
             seen.append(kind)
-        document = _parsed(write_tree(tree, model_of(kind)), file)
+        document = _parsed(file, write_tree(tree, model_of(kind)))
     return _with_present_keys(document, kind)
 
 
-def _parsed(text: str, file: str) -> Document:
+def _parsed(file: str, text: str | None = None) -> Document:
+    """Parse a text, or by default the content of the file."""
     try:
-        return parse(text, file)
+        return read(Path(file)) if text is None else parse(text, file)
     except YamlError as error:
         raise SpecError([error.diagnostic(file)]) from None
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """Return the kind of a document; raises :class:`SpecError` if the kind is not and never was valid."""
+    """Return the kind of a document; raises :class:`SpecError` if the kind is unknown, even as an older version."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
@@ -166,7 +161,7 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
 
 
 def _with_present_keys(document: Document, kind: str) -> str:
-    """Rename former keys in the text without making any other changes."""
+    """Rename old keys in the text without making any other changes."""
     text = document.text
     starts = [0, *(found.end() for found in _LINE_BREAK.finditer(text))]
     edits: dict[int, tuple[str, str]] = {}

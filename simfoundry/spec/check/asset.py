@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Path_, volume
 from simfoundry.spec.files import MESH_SUFFIXES
-from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import WORLD, PoseSpec
 from simfoundry.spec.models.scene import Degrees, Written, position
 

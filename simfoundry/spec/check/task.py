@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.check.asset import check_joints
 from simfoundry.spec.check.checker import Checker, Path_
 from simfoundry.spec.check.scene import SceneNames
 from simfoundry.spec.files import Loaded
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.models.cousins import CousinsSpec
+from simfoundry.spec.models.cousins import CousinsSpec, TaskAxis
 from simfoundry.spec.models.predicate import parts, texts
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import Start, TaskSpec
@@ -101,6 +103,7 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
         c.file(spec.object.library, ("object", "library"), ())
     if spec.distractors is not None and spec.distractors.library is not None:
         c.file(spec.distractors.library, ("distractors", "library"), ())
+    _engines(c, spec.task)
     spec_of_twin = twin.spec if twin is not None else None
     names = scene_names(twin.used(spec_of_twin.scene) if twin and isinstance(spec_of_twin, TaskSpec) else twin)
     if names is None:
@@ -123,3 +126,15 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
             c.add("SF107", place, f"variants of `{name}` come from a library, but no library is given", "set `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")
+
+
+def _engines(c: Checker, axis: TaskAxis | None) -> None:
+    """Check that scenes can be run in the simulators that a recipe names, including those of installed packages."""
+    if axis is None or "engines" not in axis.model_fields_set:
+        return
+    worlds = import_module("simfoundry.worlds")  # belongs to a higher layer, and most recipes do not need it
+    for k, engine in enumerate(axis.engines):
+        try:
+            worlds.find_world(engine)
+        except SimfoundryError as error:
+            c.add("SF106", ("task", "engines", k), str(error))

@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.format import format_text, schema_line
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.files import Loaded
@@ -29,7 +30,7 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 REGION = 0.05
 
 
-class NewError(Exception):
+class NewError(SimfoundryError):
     """Raised if a file cannot be created; the message is one sentence with the reason."""
 
 

@@ -21,7 +21,6 @@ from simfoundry.spec.models.base import (
 
 Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
 Source = Literal["procedural", "library", "model"]
-Engine = Literal["mujoco", "pybullet"]
 Change = Literal["geometry", "topology", "appearance"]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
@@ -144,8 +143,8 @@ class TaskAxis(Model):
         "vision-language model propose them.",
     )
     objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
-    engines: tuple[Engine, ...] = Field(
-        ("mujoco",), min_length=1, description="Engines in which the goal state of a task must be stable."
+    engines: tuple[Name, ...] = Field(
+        ("mujoco",), min_length=1, description="Simulators in which the goal state of a task must be stable."
     )
 
 

@@ -32,7 +32,6 @@ from simfoundry.spec.models.base import (
     fault,
 )
 from simfoundry.spec.models.robot import RobotSpec
-from simfoundry.spec.models.types import RIVALS
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
@@ -297,6 +296,8 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
     ``default`` is the object without any overrides. Raises :class:`pydantic.ValidationError` if the object and the
     variant are incompatible, for example if the variant sets `scale` for a primitive.
     """
+    from simfoundry.spec.models.types import RIVALS  # reads a file, which checking a scene without variants can skip
+
     given: dict[str, Any] = {key: getattr(item, key) for key in item.model_fields_set - {"variant", "variants"}}
     if name != DEFAULT_VARIANT:
         over = item.variants[name]

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -56,11 +57,9 @@ def fragile(mark: str, index: int) -> Candidate:
     if index == 5:
         os.kill(os.getpid(), signal.SIGKILL)
     if index == 3:
-        try:
+        with suppress(FileExistsError):
             os.close(os.open(mark, os.O_CREAT | os.O_EXCL))
             os.kill(os.getpid(), signal.SIGKILL)
-        except FileExistsError:
-            pass
     if index == 7:
         raise RuntimeError("seven")
     return candidate(1.0, index)

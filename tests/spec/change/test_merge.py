@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.change.merge.conflict import MergeConflict, dotted, parts
 from simfoundry.spec.change.merge.texts import ResolveError, UnmergeableError, merge_texts, new_errors, resolve
-from simfoundry.spec.change.merge.trees import Merged, merge
+from simfoundry.spec.change.merge.trees import Merged, merge_trees
 from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.models.scene import SceneSpec
@@ -98,6 +98,11 @@ SHORT, PAIRS = 20, 1000 // len(BASES) + 1
 seeds = pytest.mark.parametrize(
     "seeds", [range(SHORT), pytest.param(range(SHORT, PAIRS), marks=pytest.mark.slow)], ids=["short", "long"]
 )
+
+
+def merge(base: Any, ours: Any, theirs: Any) -> Merged:
+    """Merge three documents as plain data; ``base`` is None if both sides added the document."""
+    return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
 
 
 def changed(*replacements: tuple[str, str], text: str = SCENE) -> Any:

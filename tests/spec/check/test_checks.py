@@ -9,6 +9,7 @@ import pytest
 from simfoundry.spec.check.documents import unused
 from simfoundry.spec.diagnostics import Severity
 from simfoundry.spec.load import load
+from tests.foreign_package import write_package
 
 SCENE = """\
 simfoundry: scene/1
@@ -62,13 +63,6 @@ FILES = {
 }
 
 
-def assert_slip(folder: Path, file: str, slip: tuple[str, str], code: str, line: int, words: str) -> None:
-    """One slip, ``right`` and ``wrong``, gives one finding at its line."""
-    ((got_code, got_line, message),) = found(folder, file, *slip)
-    assert (got_code, got_line) == (code, line)
-    assert words in message
-
-
 def found(folder: Path, file: str, right: str = "", wrong: str = "") -> list[tuple[str, int, str]]:
     """Code, line and message of what is found in ``file`` where ``right`` is replaced by ``wrong``."""
     for name, text in FILES.items():
@@ -83,71 +77,99 @@ def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
     assert found(tmp_path, file) == []
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "code", "line", "words"),
-    [
-        ("{on: desk, left_of", "{on: dsk, left_of", "SF201", 7, "no object is called `dsk`"),
-        ("left_of: cup", "left_of: cpu", "SF201", 7, "no object is called `cpu`"),
-        ("left_of: cup", "left_of: bowl", "SF208", 7, "depends on itself: `bowl` → `bowl`"),
-        ("{on: desk, left", "{on: cabinet.shelf, left", "SF201", 7, "no link or joint of `cabinet`"),
-        ("{on: desk, left", "{on: cup.rim, left", "SF201", 7, "`cup` does not have any parts"),
-        ("left_of: cup}", "gap: 0.1}", "SF107", 7, "`gap` is for"),
-        ("left_of: cup}", "left_of: cup, right_of: cup}", "SF107", 7, "give one of `left_of`, `right_of`"),
-        ("left_of: cup}", "xy: [0, 0], left_of: cup}", "SF107", 7, "give one of `xy`, `local_xy`, `left_of`"),
-        ("franka_robotiq", "franka_robotic", "SF201", 10, "no robot is called `franka_robotic`"),
-        ("joint1", "joint9", "SF201", 10, "no joint of `franka_robotiq` is called `joint9`"),
-        ("franka_robotiq, joints: {joint1: 0.3}", "{mjcf: arm.xml}", "SF203", 10, "file `arm.xml` does not exist"),
-        ("franka_robotiq, joints: {joint1: 0.3}", "{}", "SF107", 10, "one of `file`, `mjcf`, `urdf`, `usd`"),
-        ("arm.hand", "arm.hnd", "SF201", 12, "no link of `arm` is called `hnd`"),
-        ("arm.hand", "leg.hand", "SF201", 12, "no robot or object is called `leg`"),
-        ("viewpoint: arm", "viewpoint: are", "SF201", 3, "no camera or robot is called `are`"),
-    ],
-)
-def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    assert_slip(tmp_path, "kitchen.scene.yaml", (right, wrong), code, line, words)
+# Slips by file and by the text in which they are made, each with its code and the words of its finding.
+SLIPS: dict[str, dict[str, list[tuple[str, str, str]]]] = {
+    "kitchen.scene.yaml": {
+        "{on: desk, left_of": [("{on: dsk, left_of", "SF201", "no object is called `dsk`")],
+        "left_of: cup": [
+            ("left_of: cpu", "SF201", "no object is called `cpu`"),
+            ("left_of: bowl", "SF208", "depends on itself: `bowl` → `bowl`"),
+        ],
+        "{on: desk, left": [
+            ("{on: cabinet.shelf, left", "SF201", "no link or joint of `cabinet`"),
+            ("{on: cup.rim, left", "SF201", "`cup` does not have any parts"),
+        ],
+        "left_of: cup}": [
+            ("gap: 0.1}", "SF107", "`gap` is for"),
+            ("left_of: cup, right_of: cup}", "SF107", "give one of `left_of`, `right_of`"),
+            ("xy: [0, 0], left_of: cup}", "SF107", "give one of `xy`, `local_xy`, `left_of`"),
+        ],
+        "franka_robotiq": [("franka_robotic", "SF201", "no robot is called `franka_robotic`")],
+        "joint1": [("joint9", "SF201", "no joint of `franka_robotiq` is called `joint9`")],
+        "franka_robotiq, joints: {joint1: 0.3}": [
+            ("{mjcf: arm.xml}", "SF203", "file `arm.xml` does not exist"),
+            ("{}", "SF107", "one of `file`, `mjcf`, `urdf`, `usd`"),
+        ],
+        "arm.hand": [
+            ("arm.hnd", "SF201", "no link of `arm` is called `hnd`"),
+            ("leg.hand", "SF201", "no robot or object is called `leg`"),
+        ],
+        "viewpoint: arm": [("viewpoint: are", "SF201", "no camera or robot is called `are`")],
+    },
+    "store.task.yaml": {
+        "kitchen.scene": [("kitchn.scene", "SF203", "file `kitchn.scene.yaml` does not exist")],
+        "kitchen.scene.yaml": [("cabinet.asset.yaml", "SF006", "a different kind of document")],
+        "robots: [arm]": [("robots: [leg]", "SF201", "no robot is called `leg`")],
+        "Grasped(cup, arm)": [("Grasped(cup, leg)", "SF201", "no robot is called `leg`")],
+        "Closed(cabinet.drawer)": [
+            ("Closed(cup)", "SF201", "`cup` does not have any joints"),
+            ("Closed(cabinet.door)", "SF201", "no joint of `cabinet` is called `door`"),
+            ("Shut(cabinet.drawer)", "SF202", "`Shut` is not a predicate"),
+            ("At(cup, 0.4)", "SF202", "`At` takes 3 or 4 arguments, not 2"),
+            ("At(cup, x, 0.4)", "SF202", "`x` is not a number"),
+        ],
+        "{not: Grasped(cup, arm)}": [
+            ("{not: {all: []}}", "SF404", "without predicates succeeds immediately"),
+            ("{any: []}", "SF404", "without predicates never succeeds"),
+        ],
+        "{drawer: 0.15}": [
+            ("{drawer: 0.25}", "SF205", "outside its limits"),
+            ("{door: 0.15}", "SF201", "no joint is called `door`"),
+        ],
+        "{cup: {on: desk}}": [
+            ("{desk: {on: cup}}", "SF107", "`desk` is fixed in the scene"),
+            ("{cup: {on: cup}}", "SF208", "depends on itself"),
+        ],
+        "{objects: {cup: {x: [0.3": [("{objects: {cup: {x: [0.6", "SF104", "the minimum")],
+        "{objects: {cup: {x": [("{objects: {mug: {x", "SF201", "no object is called `mug`")],
+    },
+    "kitchens.cousins.yaml": {
+        "store.task": [("stor.task", "SF203", "does not exist")],
+        "anchor: bowl": [
+            ("anchor: bowls", "SF201", "no object is called `bowls`"),
+            ("anchor: cup", "SF107", "`cup` is the anchor"),
+        ],
+        "{cup: [LeftOf, Behind]}": [("{desk: [LeftOf]}", "SF107", "`desk` is fixed")],
+        "[LeftOf, Behind]": [
+            ("[]", "SF105", "no predicate is allowed"),
+            ("[LeftOf, Beside]", "SF106", "`Beside` is not valid here"),
+        ],
+        "{bowl: {}}": [("{bowls: {}}", "SF201", "no object is called `bowls`")],
+        "task: {": [("task: {engines: [mujoco, bulet], ", "SF106", "scenes cannot be run in `bulet`; available")],
+        "[cup]": [("[cupp]", "SF201", "no object is called `cupp`")],
+    },
+}
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "code", "line", "words"),
-    [
-        ("kitchen.scene", "kitchn.scene", "SF203", 3, "file `kitchn.scene.yaml` does not exist"),
-        ("kitchen.scene.yaml", "cabinet.asset.yaml", "SF006", 3, "a different kind of document"),
-        ("robots: [arm]", "robots: [leg]", "SF201", 5, "no robot is called `leg`"),
-        ("Grasped(cup, arm)", "Grasped(cup, leg)", "SF201", 6, "no robot is called `leg`"),
-        ("Closed(cabinet.drawer)", "Closed(cup)", "SF201", 6, "`cup` does not have any joints"),
-        ("Closed(cabinet.drawer)", "Closed(cabinet.door)", "SF201", 6, "no joint of `cabinet` is called `door`"),
-        ("Closed(cabinet.drawer)", "Shut(cabinet.drawer)", "SF202", 6, "`Shut` is not a predicate"),
-        ("Closed(cabinet.drawer)", "At(cup, 0.4)", "SF202", 6, "`At` takes 3 or 4 arguments, not 2"),
-        ("Closed(cabinet.drawer)", "At(cup, x, 0.4)", "SF202", 6, "`x` is not a number"),
-        ("{not: Grasped(cup, arm)}", "{not: {all: []}}", "SF404", 6, "without predicates succeeds immediately"),
-        ("{not: Grasped(cup, arm)}", "{any: []}", "SF404", 6, "without predicates never succeeds"),
-        ("{drawer: 0.15}", "{drawer: 0.25}", "SF205", 9, "outside its limits"),
-        ("{drawer: 0.15}", "{door: 0.15}", "SF201", 9, "no joint is called `door`"),
-        ("{cup: {on: desk}}", "{desk: {on: cup}}", "SF107", 9, "`desk` is fixed in the scene"),
-        ("{cup: {on: desk}}", "{cup: {on: cup}}", "SF208", 9, "depends on itself"),
-        ("{objects: {cup: {x: [0.3", "{objects: {cup: {x: [0.6", "SF104", 11, "the minimum"),
-        ("{objects: {cup: {x", "{objects: {mug: {x", "SF201", 11, "no object is called `mug`"),
-    ],
+    ("file", "right", "slip"), [(f, r, slip) for f, slips in SLIPS.items() for r in slips for slip in slips[r]]
 )
-def test_slips_in_a_task(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    assert_slip(tmp_path, "store.task.yaml", (right, wrong), code, line, words)
+def test_a_slip_gives_one_finding_at_its_line(
+    tmp_path: Path, file: str, right: str, slip: tuple[str, str, str]
+) -> None:
+    wrong, code, words = slip
+    line = FILES[file].partition(right)[0].count("\n") + 1
+    ((got_code, got_line, message),) = found(tmp_path, file, right, wrong)
+    assert (got_code, got_line) == (code, line) and words in message
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "code", "line", "words"),
-    [
-        ("store.task", "stor.task", "SF203", 3, "does not exist"),
-        ("anchor: bowl", "anchor: bowls", "SF201", 4, "no object is called `bowls`"),
-        ("anchor: bowl", "anchor: cup", "SF107", 4, "`cup` is the anchor"),
-        ("{cup: [LeftOf, Behind]}", "{desk: [LeftOf]}", "SF107", 4, "`desk` is fixed"),
-        ("[LeftOf, Behind]", "[]", "SF105", 4, "no predicate is allowed"),
-        ("[LeftOf, Behind]", "[LeftOf, Beside]", "SF106", 4, "`Beside` is not valid here"),
-        ("{bowl: {}}", "{bowls: {}}", "SF201", 5, "no object is called `bowls`"),
-        ("[cup]", "[cupp]", "SF201", 6, "no object is called `cupp`"),
-    ],
-)
-def test_slips_in_a_recipe(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    assert_slip(tmp_path, "kitchens.cousins.yaml", (right, wrong), code, line, words)
+def test_a_recipe_may_name_the_simulator_of_another_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    profile = "simfoundry: target/1\nname: bulet\ndescription: a simulator\nbackend: pybullet\n"
+    profile += "tested: {how: checked, note: by us}\nworld: bulet_targets.world:BuletWorld\n"
+    files = {"bulet_targets/__init__.py": "", "bulet_targets/bulet/profile.yaml": profile}
+    write_package(tmp_path / "site", "bulet", {"simfoundry.targets": {"bulet": "bulet_targets.bulet"}}, files)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert found(tmp_path, "kitchens.cousins.yaml", "task: {", "task: {engines: [mujoco, bulet], ") == []
 
 
 FOAM = """\

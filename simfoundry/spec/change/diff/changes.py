@@ -1,10 +1,10 @@
 """Compute the edits that turn one document into another, as data.
 
 Documents are plain data: mappings with string keys, tuples, and scalars. Members of named mappings are matched by
-name. If one member disappears and a nearly equal one appears, the pair is treated as a rename
-(:mod:`simfoundry.spec.change.diff.changes`). Lists are replaced as a whole, except for lists of expressions
-(``relations``, ``all``, ``any``) and lists of pairs (``no_contact``), which are compared as sets: each expression or
-pair is a member whose name is its text. ``1`` and ``1.0`` are considered equal.
+name. If one member disappears and a nearly equal one appears, the pair is treated as a rename. Lists are
+replaced as a whole, except for lists of expressions (``relations``, ``all``, ``any``) and lists of pairs
+(``no_contact``), which are compared as sets: each expression or pair is a member whose name is its text. ``1`` and
+``1.0`` are considered equal.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -115,8 +115,9 @@ def expression(item: Any) -> str:
 
 def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
     before, after = members(a, path), members(b, path)
-    together = isinstance(a, dict) == isinstance(b, dict) and not (path and path[-1] == "shape" and _other_kind(a, b))
-    if before is None or after is None or not together:
+    # Shapes of different kinds have no key in common and are replaced as a whole.
+    other_shape = path[-1:] == ("shape",) and isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
+    if before is None or after is None or isinstance(a, dict) != isinstance(b, dict) or other_shape:
         if not same(a, b):
             yield Set(path, a, b)
         return
@@ -125,7 +126,7 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
             yield Remove((*path, key), old)
         else:
             yield from _value(old, after[key], (*path, key))
-    order = [key for key in before if key in after]
+    order = [key for key in before if key in after]  # the order after these removals and additions
     for position, (key, new) in enumerate(after.items()):
         if key not in before:
             yield Add((*path, key), new, position)
@@ -134,18 +135,13 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
         yield Reorder(path, tuple(after))
 
 
-def _other_kind(a: Any, b: Any) -> bool:
-    """Return True if two shapes are of different kinds and therefore have no key in common."""
-    return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
-
-
 # Sections of a document whose members have names, in the order in which changes are shown.
 NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
 
 # Keys of mappings whose members have names.
 SECTIONS = (*NAMED, "parts", "variants", "place", "pose")
 
-# Smallest fraction of equal values at which two members are treated as a rename.
+# Minimum fraction of equal values for which two members are treated as a rename.
 ALIKE = 0.6
 
 # Keys that identify a member; if any of them differs, the two members are different objects.
@@ -157,8 +153,8 @@ MAX_PAIRS = 40_000
 # Keys whose value names a member of the mapping that contains them.
 BESIDE = {"variant": "variants"}
 
-# Keys of expressions; their arguments are names of objects or robots.
-_EXPRESSIONS = ("relations", "goal", "all", "any", "not")
+# Keys of expressions, whose arguments are names of objects or robots.
+_EXPRESSIONS = (*EXPRESSION_LISTS, "goal", "not")
 
 _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
@@ -203,14 +199,14 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b) or (a != a and b != b)
 
 
-def copied(value: Any) -> Any:
-    """Copy a value, including all nested mappings."""
+def copied(value: Any, scalar: Callable[[Any], Any] = lambda item: item) -> Any:
+    """Copy a value, including all nested mappings and lists, and apply ``scalar`` to every other value in it."""
     match value:
         case dict():
-            return {key: copied(item) for key, item in value.items()}
+            return {key: copied(item, scalar) for key, item in value.items()}
         case tuple() | list():
-            return tuple(copied(item) for item in value)
-    return value
+            return tuple(copied(item, scalar) for item in value)
+    return scalar(value)
 
 
 def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, Any], dict[str, Any]]]:
@@ -236,9 +232,14 @@ def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rena
             if equal.get(old.leaves):
                 yield Rename(path, old.name, equal[old.leaves].pop(0).name)
         return
-    scored = ((_likeness(old, new), i, k) for i, old in enumerate(gone) for k, new in enumerate(come))
+    scored = []
+    for i, old in enumerate(gone):
+        for k, new in enumerate(come):
+            if (likeness := _likeness(old, new)) >= ALIKE:
+                names = difflib.SequenceMatcher(None, old.name, new.name).ratio()  # breaks ties
+                scored.append((-likeness, -names, i, k))
     taken: set[str] = set()
-    for _, i, k in sorted(((-like, -_like(gone[i], come[k])), i, k) for like, i, k in scored if like >= ALIKE):
+    for *_, i, k in sorted(scored):
         if gone[i].name not in taken and come[k].name not in taken:
             taken |= {gone[i].name, come[k].name}
             yield Rename(path, gone[i].name, come[k].name)
@@ -249,33 +250,27 @@ class _Member:
 
     def __init__(self, name: str, value: dict[str, Any]) -> None:
         self.name, self.value = name, value
-        self.leaves = frozenset(_leaves(value, ()))
+        plain = ((path, v if isinstance(v, str | int | float | None) else repr(v)) for path, v in leaves(value))
+        self.leaves = frozenset(plain)
         self.paths = frozenset(path for path, _ in self.leaves)
 
 
 def _likeness(old: _Member, new: _Member) -> float:
     """Return the fraction of values in which two members agree; 0 for objects of different kinds."""
     common = len(old.leaves & new.leaves)
-    if common < ALIKE * max(len(old.leaves), len(new.leaves)) or not _same_identity(old.value, new.value):
+    if common < ALIKE * max(len(old.leaves), len(new.leaves)):
         return 0.0
-    return common / len(old.paths | new.paths)
+    same_identity = all(same(old.value.get(key), new.value.get(key)) for key in IDENTITY)
+    return common / len(old.paths | new.paths) if same_identity else 0.0
 
 
-def _like(old: _Member, new: _Member) -> float:
-    """Return the similarity of two names; it breaks ties between equally similar members."""
-    return difflib.SequenceMatcher(None, old.name, new.name).ratio()
-
-
-def _same_identity(a: dict[str, Any], b: dict[str, Any]) -> bool:
-    return all(same(a.get(key), b.get(key)) for key in IDENTITY)
-
-
-def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
+def leaves(value: Any, path: Path_ = ()) -> Iterator[tuple[Path_, Any]]:
+    """Yield every value that is not a nonempty mapping, with its path."""
     if isinstance(value, dict) and value:
         for key, item in value.items():
-            yield from _leaves(item, (*path, key))
+            yield from leaves(item, (*path, key))
     else:
-        yield path, value if isinstance(value, str | int | float | None) else repr(value)
+        yield path, value
 
 
 def _space(section: Path_) -> str:
@@ -296,14 +291,13 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
         names = _new_names(mapping, given)
         items = ((names.get(key, key), item) for key, item in mapping.items())
         return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
-    if not local or not path:
-        return copied(value)
-    if path[-1] in BESIDE:
-        return local.get((*path[:-1], BESIDE[path[-1]]), {}).get(value, value) if isinstance(value, str) else value
-    if path[-1] in REFERENCES:
-        return _reference(value, REFERENCES[path[-1]], spaces)
-    if path[-1] in _EXPRESSIONS:
-        return _expression(value, spaces)
+    key = path[-1] if local and path else ""
+    if key in BESIDE:
+        return local.get((*path[:-1], BESIDE[key]), {}).get(value, value) if isinstance(value, str) else value
+    if key in REFERENCES:
+        return copied(value, lambda item: _reference(item, REFERENCES[key], spaces))
+    if key in _EXPRESSIONS:
+        return copied(value, lambda item: _expression(item, spaces))
     return copied(value)
 
 
@@ -320,32 +314,23 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
     """Return the new names of the keys of a mapping, except renames that would make two keys equal."""
-    kept = {key: names[key] for key in mapping if key in names} if names else {}
-    while kept:
-        count = Counter(kept.get(key, key) for key in mapping)
-        clash = [key for key, new in kept.items() if count[new] > 1]
-        if not clash:
-            break
-        for key in clash:
-            del kept[key]
-    return kept
+    kept = {key: names[key] for key in mapping if key in names}
+    while True:
+        count = Counter(kept.get(key, key) for key in mapping) if kept else {}
+        clear = {key: new for key, new in kept.items() if count[new] == 1}
+        if len(clear) == len(kept):
+            return kept
+        kept = clear
 
 
 def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
-    """Rename the arguments of an expression, or of a list of them."""
-    match value:
-        case str():
-            return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)
-        case dict():
-            return {key: _expression(item, spaces) for key, item in value.items()}
-        case tuple() | list():
-            return tuple(_expression(item, spaces) for item in value)
-    return value
+    """Rename the arguments of an expression."""
+    if not isinstance(value, str):
+        return value
+    return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)
 
 
 def _reference(value: Any, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> Any:
-    if isinstance(value, tuple | list):
-        return tuple(_reference(item, sections, spaces) for item in value)
     if not isinstance(value, str):
         return value
     head, dot, tail = value.partition(".")

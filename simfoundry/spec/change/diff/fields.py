@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from simfoundry.spec.change.diff import values
-from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, SECTIONS, expression, same
+from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, SECTIONS, Path_, expression, same
+from simfoundry.spec.change.merge.conflict import ABSENT, Absent
 from simfoundry.spec.models.base import Model
 
-Path_ = tuple[str, ...]
-
-# Fields that a body takes from its material unless it sets them itself.
+# Fields that a body inherits from its material unless the body sets them itself.
 INHERITED = ("density", "friction", "restitution", "color")
 
-_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "local_xy")
+# Keys of a place that must be equal for a change of position to be described as motion.
+_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap")
+
+# Keys of a place that contain a position.
+_XY = {"xy", "local_xy"}
 
 
 class Verbs(list[str]):
@@ -22,19 +26,25 @@ class Verbs(list[str]):
 
     moved = False
 
+    def add_motion(self, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+        """Add the motion from the pose ``old`` to the pose ``new``."""
+        found = values.motion(old, new)
+        self.extend(values.motion_words(found))
+        self.moved = found.moved or found.turned
 
+
+@dataclass
 class Describing:
-    """Context of a description: both documents (the old one with new names) and the units of their fields."""
+    """Context of a description: both documents (the old one with new names) and the units of their fields.
 
-    def __init__(
-        self,
-        a: Mapping[str, Any],
-        b: Mapping[str, Any],
-        model: type[Model] | None,
-        joint_units: Mapping[tuple[str, str], str],
-        verbose: bool,
-    ) -> None:
-        self.a, self.b, self.model, self.joint_units, self.verbose = a, b, model, joint_units, verbose
+    In all methods, a value that a document does not contain is :data:`ABSENT`.
+    """
+
+    a: Mapping[str, Any]
+    b: Mapping[str, Any]
+    model: type[Model] | None
+    joint_units: Mapping[tuple[str, str], str]
+    verbose: bool
 
     def member(self, path: Path_, old: Any, new: Any) -> tuple[Verbs, list[str]]:
         """Return the verb phrases and facts that describe the changes of the member at ``path``."""
@@ -42,36 +52,35 @@ class Describing:
         if not isinstance(old, dict) or not isinstance(new, dict):
             return verbs, [] if same(old, new) else [values.pair(path[-1], old, new)]
         done = self._where(path, old, new, verbs, facts)
-        for key in dict.fromkeys((*old, *new)):
-            if key not in done and not (key in old and key in new and same(old[key], new[key])):
-                found = self.field((*path, key), old.get(key), new.get(key), key in old, key in new)
-                if key == "closed" and path[0] == "joints":
-                    verbs.append(_closing(old.get(key), new.get(key)))
-                elif key == "fixed":
-                    verbs.append("is fixed now" if new.get(key) else "is no longer fixed")
-                else:
-                    facts += found
+        for key, before, after in _different(old, new):
+            if key == "closed" and path[0] == "joints":
+                verbs.append(_closing(old.get(key), new.get(key)))
+            elif key == "fixed":
+                verbs.append("is fixed now" if new.get(key) else "is no longer fixed")
+            elif key not in done:
+                facts += self.field((*path, key), before, after)
         if path[0] == "materials" and facts:
             facts[-1] += self._users(path[1])
         return verbs, facts
 
-    def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
-        """Describe the change of one field; ``was`` and ``is_`` state whether the old and new documents contain it."""
+    def field(self, path: Path_, old: Any, new: Any) -> list[str]:
+        """Describe the change of one field."""
         key = path[-1]
+        before, after = ({} if side is ABSENT else side for side in (old, new))
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
-            return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
+            return list(_expressions(key, old, new, self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
             return [_shape(old, new)]
-        if path == ("origin", "cousin") and isinstance(new, dict) and {"recipe", "index", "seed"} <= new.keys():
+        if path == ("origin", "cousin") and {"recipe", "index", "seed"} <= dict(after).keys():
             return [f"origin: cousin {new['index']} of recipe {new['recipe']}, seed {new['seed']}"]
-        whole = isinstance(old or {}, dict) and isinstance(new or {}, dict) and path[-2:-1] != ("start",)
-        if key == "pose" and whole:
-            return self._pose(path, old or {}, new or {})
-        if key == "place" and whole:
-            return [f"{_label(path)} {values.pair('', _place(old), _place(new))}"]
-        if isinstance(old if was else {}, dict) and isinstance(new if is_ else {}, dict) and not _quantity(old, new):
-            return list(self._mapping(path, old if was else {}, new if is_ else {}))
-        return [self._leaf(path, old, new, was, is_)]
+        whole = isinstance(before, dict) and isinstance(after, dict)
+        if key in ("pose", "place") and whole and path[-2:-1] != ("start",):
+            if key == "pose":
+                return self._pose(path, before, after)
+            return [f"{_label(path)} {values.pair('', _place(before), _place(after))}"]
+        if whole and not _quantity(old, new):
+            return list(self._mapping(path, before, after))
+        return [self._leaf(path, old, new)]
 
     def summary(self, section: str, item: Any) -> str:
         """Summarize a new member in a few words."""
@@ -95,14 +104,12 @@ class Describing:
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
         """Describe the motion between poses or places, and return the keys covered by the description."""
-        if any("place" in side for side in (old, new)):
+        if "place" in old or "place" in new:
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move; only its frame changes
             return ()
         elif not same(old.get("pose"), new.get("pose")):
-            found = values.motion(old.get("pose") or {}, new.get("pose") or {})
-            verbs += values.motion_words(found)
-            verbs.moved = found.moved or found.turned
+            verbs.add_motion(old.get("pose") or {}, new.get("pose") or {})
             if self.verbose and not verbs.moved:
                 facts.append("same pose, written differently")
         return ("pose", "place")
@@ -111,67 +118,52 @@ class Describing:
         before, after = old.get("place"), new.get("place")
         if same(before, after) and same(old.get("pose"), new.get("pose")):
             return
-        if (
-            isinstance(before, dict)
-            and isinstance(after, dict)
-            and all(same(before.get(key), after.get(key)) for key in _CARRIER if key != "local_xy")
-            and all((key in before) == (key in after) for key in ("xy", "local_xy"))
-        ):
-            found = values.motion(_flat(before), _flat(after))
-            verbs += values.motion_words(found)
-            verbs.moved = found.moved or found.turned
-            return
+        if isinstance(before, dict) and isinstance(after, dict):
+            alike = all(same(before.get(key), after.get(key)) for key in _CARRIER)
+            if alike and before.keys() & _XY == after.keys() & _XY:
+                return verbs.add_motion(_flat(before), _flat(after))
         verbs.append(f"is now {_where(new)} (was {_where(old)})")
-        turn = values.motion({**_angles(old), "xyz": (0, 0, 0)}, {**_angles(new), "xyz": (0, 0, 0)})
-        verbs += values.motion_words(turn)
+        verbs.add_motion({**_angles(old), "xyz": (0, 0, 0)}, {**_angles(new), "xyz": (0, 0, 0)})
         verbs.moved = True
 
     def _pose(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> list[str]:
         """Describe the pose of a part, a joint or a background."""
-        found = values.motion_words(values.motion(old, new))
-        label = _label(path)
-        if found:
-            return [f"{label} {', '.join(found)}"]
-        return [f"{label}: same pose, written differently"] if self.verbose else []
+        if found := values.motion_words(values.motion(old, new)):
+            return [f"{_label(path)} {', '.join(found)}"]
+        return [f"{_label(path)}: same pose, written differently"] if self.verbose else []
 
     # -- values -----------------------------------------------------------------------------------------------------
 
     def _mapping(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
-        for key in dict.fromkeys((*old, *new)):
+        for key, before, after in _different(old, new):
             here = (*path, key)
-            if key in old and key in new and same(old[key], new[key]):
-                continue
-            if path[-1] in SECTIONS and (key not in old or key not in new) and not self._has_default(here):
-                about = self.summary(path[-1], new[key]) if key in new else ""
-                verb = ("added" if key in new else "removed") + (f": {about}" if about else "")
-                yield f"{_label(here)} {verb}"
-                continue
-            yield from self.field(here, old.get(key), new.get(key), key in old, key in new)
+            one_sided = before is ABSENT or after is ABSENT
+            if path[-1] in SECTIONS and one_sided and not self._has_default(here):
+                about = self.summary(path[-1], after) if before is ABSENT else ""
+                yield f"{_label(here)} {'added' if before is ABSENT else 'removed'}" + (f": {about}" if about else "")
+            else:
+                yield from self.field(here, before, after)
 
     def _has_default(self, path: Path_) -> bool:
         """Return True for a member that defaults to 0, such as a joint position of an object."""
         return path[0] == "objects" and path[-2] == "joints"
 
-    def _leaf(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> str:
-        key, unit = path[-1], self._unit(path)
-        label = _label(path)
+    def _leaf(self, path: Path_, old: Any, new: Any) -> str:
+        key, unit, label = path[-1], self._unit(path), _label(path)
         if self._has_default(path):
-            old, new = (old if was else 0.0), (new if is_ else 0.0)
+            old, new = (0.0 if side is ABSENT else side for side in (old, new))
+        both = old is not ABSENT and new is not ABSENT
+        if self._has_default(path) or (both and not isinstance(old, dict) and not isinstance(new, dict)):
             return f"{label} {values.pair(key, old, new, unit)}"
-        if was and is_ and not isinstance(old, dict) and not isinstance(new, dict):
-            return f"{label} {values.pair(key, old, new, unit)}"
-        left = self._side(path, old, was, self.a, unit if not (was and is_) else "")
-        right = self._side(path, new, is_, self.b, unit)
-        if not was and not left:
+        left, right = self._side(path, old, self.a, "" if both else unit), self._side(path, new, self.b, unit)
+        if old is ABSENT and not left:
             return f"{label} now {right}"
-        if not is_ and not right:
-            return f"{label} {left} removed"
-        return f"{label} {left} → {right}"
+        return f"{label} {left} removed" if new is ABSENT and not right else f"{label} {left} → {right}"
 
-    def _side(self, path: Path_, item: Any, given: bool, document: Mapping[str, Any], unit: str) -> str:
+    def _side(self, path: Path_, item: Any, document: Mapping[str, Any], unit: str) -> str:
         """Return a value with its unit, or the source of the value if the document does not set it."""
         key = path[-1]
-        if given:
+        if item is not ABSENT:
             return values.with_unit(values.value(key, item), unit)
         inherited = _material(path, document) if key in INHERITED else None
         if inherited is not None:
@@ -192,10 +184,18 @@ class Describing:
 
     def _users(self, material: str) -> str:
         """List the objects that use a material and are therefore affected by its changes."""
-        things = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
-        users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
+        bodies = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
+        users = [name for name, item in bodies.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
         return f" (of {', '.join(users[:3])}{more})" if users else ""
+
+
+def _different(old: dict[str, Any], new: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield each key whose values differ, with its old and new value."""
+    for key in dict.fromkeys((*old, *new)):
+        before, after = old.get(key, ABSENT), new.get(key, ABSENT)
+        if not same(before, after):
+            yield key, before, after
 
 
 def _closing(old: Any, new: Any) -> str:
@@ -212,9 +212,9 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
     else:
         before, after = (tuple(map(expression, side)) if isinstance(side, tuple | list) else () for side in (old, new))
     come, gone = [t for t in after if t not in before], [t for t in before if t not in after]
-    said = [f"{verb} {', '.join(items)}" for verb, items in ((gain, come), (lose, gone)) if items]
-    if said:
-        yield f"{label} {' and '.join(said)}"
+    parts = [f"{verb} {', '.join(items)}" for verb, items in ((gain, come), (lose, gone)) if items]
+    if parts:
+        yield f"{label} {' and '.join(parts)}"
     elif verbose:
         yield f"{label}: reordered"
 
@@ -222,7 +222,7 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
 def _conjuncts(goal: Any) -> tuple[str, ...]:
     """Return the conditions that must all hold: the members of an ``all``, including nested ones."""
     match goal:
-        case () | None:
+        case () | None | Absent.ABSENT:
             return ()
         case {"all": tuple() | list() as below} if len(goal) == 1:
             return tuple(text for item in below for text in _conjuncts(item))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from simfoundry.spec.models.base import Model
@@ -34,25 +35,23 @@ def joined(items: Iterable[str]) -> str:
     return f"({', '.join(items)})"
 
 
+def _definitions(model: type[Model] | None, path: tuple[str, ...]) -> Iterator[FieldInfo]:
+    """Yield the possible definitions of the field at ``path``."""
+    return (owner.model_fields[path[-1]] for owner in models_at(model, path[:-1]) if path[-1] in owner.model_fields)
+
+
 @lru_cache(maxsize=4096)
 def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
     """Return the unit in the brackets of a field's description, or an empty string if the field has no unit."""
-    for owner in models_at(model, path[:-1]) if model is not None else ():
-        info = owner.model_fields.get(path[-1])
-        found = _UNIT.search(info.description or "") if info is not None else None
-        if found is not None:
-            return found[1].partition(",")[0]
-    return ""
+    found = (_UNIT.search(info.description or "") for info in _definitions(model, path))
+    return next((match[1].partition(",")[0] for match in found if match), "")
 
 
 @lru_cache(maxsize=4096)
 def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
-    """Return the default of a field if it is a plain value, else None."""
-    for owner in models_at(model, path[:-1]) if model is not None else ():
-        info = owner.model_fields.get(path[-1])
-        if info is not None and info.default is not PydanticUndefined and not isinstance(info.default, Model | dict):
-            return info.default
-    return None
+    """Return the default of a field if it is a plain value, or None otherwise."""
+    found = (info.default for info in _definitions(model, path))
+    return next((v for v in found if v is not PydanticUndefined and not isinstance(v, Model | dict)), None)
 
 
 def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
@@ -157,7 +156,7 @@ def _same_digits(old: float, new: float) -> tuple[str, str]:
 
 
 Vector = tuple[float, float, float]
-Matrix = tuple[Vector, Vector, Vector]
+Quaternion = tuple[float, float, float, float]
 
 # Smallest reported translation [m]; smaller values are rounding errors, because positions have six decimals.
 STILL_M = 5e-7
@@ -168,12 +167,19 @@ STILL_DEG = 5e-4
 # Maximum angle [deg] between a rotation axis and x, y or z at which the rotation is reported as about that axis.
 AXIS_DEG = 1.0
 
+# Units for lengths: the smallest length [m] that is reported in the unit, the number of units in a meter, the symbol,
+# and the number of decimals. The limits account for rounding, so that 0.9996 m is reported as 1.000 m.
+_SCALES = ((0.9995, 1.0, "m", 3), (0.00995, 100.0, "cm", 1), (5e-5, 1000.0, "mm", 1), (0.0, 1e6, "µm", 1))
+
 
 @dataclass(frozen=True)
 class PoseChange:
     """Motion between two poses in the same parent frame.
 
-    It consists of a translation ``shift`` [m] and a rotation by ``angle`` [deg] about the unit vector ``axis``.
+    Attributes:
+        shift: The translation [m].
+        angle: The angle of the rotation [deg].
+        axis: The axis of the rotation, a unit vector.
     """
 
     shift: Vector
@@ -182,45 +188,24 @@ class PoseChange:
 
     @property
     def moved(self) -> bool:
-        """Return True if the positions differ by more than rounding."""
+        """Return True if the positions differ by more than rounding errors."""
         return math.hypot(*self.shift) > STILL_M
 
     @property
     def turned(self) -> bool:
-        """Return True if the rotations differ by more than rounding."""
+        """Return True if the rotations differ by more than rounding errors."""
         return self.angle > STILL_DEG
 
 
 def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
-    """Return the motion from the pose ``old`` to the pose ``new``, both as documents write them."""
-    before, after = _xyz(old), _xyz(new)
-    angle, axis = _turn(rotation(old), rotation(new))
-    return PoseChange((after[0] - before[0], after[1] - before[1], after[2] - before[2]), angle, axis)
+    """Return the motion from the pose ``old`` to the pose ``new``, both in the form used in documents."""
+    return PoseChange(_minus(_xyz(new), _xyz(old)), *_turn(_rotation(old), _rotation(new)))
 
 
 def motion_words(found: PoseChange) -> list[str]:
     """Describe a motion: ``moved 3.2 cm (+x 3.0, +y 1.1)``, ``turned 12.0° about z``, or both."""
-    out = []
-    if found.moved:
-        out.append(f"moved {_distance(found.shift)}")
-    if found.turned:
-        out.append(f"turned {_angle(found.angle, found.axis)}")
-    return out
-
-
-def rotation(pose: Mapping[str, Any]) -> Matrix:
-    """Return the rotation matrix of a pose, row by row."""
-    if pose.get("quat_wxyz") is not None:
-        return _of_quaternion(pose["quat_wxyz"])
-    if pose.get("look_at") is not None:
-        return _of_look_at(_xyz(pose), pose["look_at"])
-    roll, pitch, yaw = (math.radians(v) for v in pose.get("rpy_deg") or (0.0, 0.0, pose.get("yaw_deg") or 0.0))
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(v), math.sin(v)) for v in (roll, pitch, yaw))
-    return (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
+    moved, turned = f"moved {_distance(found.shift)}", f"turned {_angle(found.angle, found.axis)}"
+    return [moved] * found.moved + [turned] * found.turned
 
 
 def _xyz(pose: Mapping[str, Any]) -> Vector:
@@ -228,57 +213,60 @@ def _xyz(pose: Mapping[str, Any]) -> Vector:
     return x, y, z
 
 
-def _of_quaternion(quaternion: tuple[float, float, float, float]) -> Matrix:
-    norm = math.hypot(*quaternion)
-    w, x, y, z = (v / norm for v in quaternion)
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _rotation(pose: Mapping[str, Any]) -> Quaternion:
+    """Return the rotation of a pose as a quaternion (w, x, y, z), which may be off from unit length by rounding."""
+    if pose.get("quat_wxyz") is not None:
+        w, x, y, z = pose["quat_wxyz"]
+        return w, x, y, z
+    angles = pose.get("rpy_deg") or (0.0, 0.0, pose.get("yaw_deg") or 0.0)
+    if pose.get("look_at") is not None:
+        angles = _view_angles(_minus(pose["look_at"], _xyz(pose)))
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(math.radians(v) / 2), math.sin(math.radians(v) / 2)) for v in angles)
     return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
     )
 
 
-def _of_look_at(eye: Vector, target: Vector) -> Matrix:
-    """Return the axes (x right, y down, z forward) of an upright camera; looking along z keeps x along x."""
-    forward = _unit((target[0] - eye[0], target[1] - eye[1], target[2] - eye[2]))
-    right = _cross(forward, (0.0, 0.0, 1.0))
-    if math.hypot(*right) < 1e-6:
-        right = _cross(forward, (0.0, 1.0, 0.0))
-    right = _unit(right)
-    x, y, z = zip(right, _cross(forward, right), forward, strict=True)
-    return x, y, z
+def _view_angles(direction: Vector) -> Vector:
+    """Return the roll, pitch and yaw [deg] of an upright camera (x right, y down, z forward) that looks along a vector.
+
+    A camera that looks straight up or down has its x axis along -x or x.
+    """
+    x, y, z = direction
+    level = math.hypot(x, y)
+    if level < 1e-6 * math.hypot(level, z):
+        return (0.0, 0.0, 180.0) if z > 0 else (180.0, 0.0, 0.0)
+    return math.degrees(math.atan2(z, level)) - 90, 0.0, math.degrees(math.atan2(y, x)) - 90
 
 
-def _turn(a: Matrix, b: Matrix) -> tuple[float, Vector]:
-    """Return the angle [deg] and unit axis (in the parent frame) of the rotation ``b a^T`` from ``a`` to ``b``."""
-    r = [[sum(b[i][k] * a[j][k] for k in range(3)) for j in range(3)] for i in range(3)]
-    odd = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1])  # 2 sin(angle) axis
-    sine, cosine = math.hypot(*odd) / 2, (r[0][0] + r[1][1] + r[2][2] - 1) / 2
-    angle = math.degrees(math.atan2(sine, cosine))
-    if sine > 1e-6:
-        return angle, _unit(odd)
-    if cosine > 0:
-        return angle, (0.0, 0.0, 1.0)
-    # Rotation by 180 deg: the symmetric part is 2 axis axis^T - 1; its largest column is the best conditioned.
-    k = max(range(3), key=lambda i: r[i][i])
-    return angle, _unit((r[0][k] + (k == 0), r[1][k] + (k == 1), r[2][k] + (k == 2)))
+def _turn(a: Quaternion, b: Quaternion) -> tuple[float, Vector]:
+    """Return the angle [deg] and the unit axis (in the parent frame) of the rotation from ``a`` to ``b``."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    w = bw * aw + bx * ax + by * ay + bz * az
+    x = bx * aw - bw * ax + bz * ay - by * az
+    y = by * aw - bw * ay + bx * az - bz * ax
+    z = bz * aw - bw * az + by * ax - bx * ay
+    sine = math.hypot(x, y, z)
+    if sine < 1e-6:
+        return math.degrees(2 * math.atan2(sine, abs(w))), (0.0, 0.0, 1.0)
+    # Both directions of the axis are equivalent for a rotation by 180 deg, so its largest component becomes positive.
+    scale = math.copysign(1 / sine, w if abs(w) > 5e-7 else max(x, y, z, key=abs))
+    return math.degrees(2 * math.atan2(sine, abs(w))), (scale * x, scale * y, scale * z)
 
 
 def _distance(shift: Vector) -> str:
     length = math.hypot(*shift)
-    factor, unit, digits = _scale(length)
+    factor, unit, digits = next((f, u, d) for least, f, u, d in _SCALES if length >= least)
     parts = [(name, factor * v) for name, v in zip("xyz", shift, strict=True)]
     shown = [f"{'+' if v > 0 else '-'}{name} {abs(v):.{digits}f}" for name, v in parts if round(abs(v), digits) > 0]
     return f"{factor * length:.{digits}f} {unit}" + (f" ({', '.join(shown)})" if shown else "")
-
-
-def _scale(length: float) -> tuple[float, str, int]:
-    """Return a readable unit for a length, with the conversion factor from meters and the number of decimals."""
-    if length >= 0.9995:
-        return 1.0, "m", 3
-    if length >= 0.00995:
-        return 100.0, "cm", 1
-    return (1000.0, "mm", 1) if length >= 5e-5 else (1e6, "µm", 1)
 
 
 def _angle(angle: float, axis: Vector) -> str:
@@ -287,13 +275,4 @@ def _angle(angle: float, axis: Vector) -> str:
         if abs(axis[k]) > math.cos(math.radians(AXIS_DEG)):
             half = angle > 180 - 10**-digits / 2  # both directions are equivalent
             return f"{'-' if axis[k] < 0 and not half else ''}{angle:.{digits}f}° about {name}"
-    return f"{angle:.{digits}f}° about {joined([f'{v:.2f}' for v in axis])}"
-
-
-def _unit(v: Vector) -> Vector:
-    norm = math.hypot(*v)
-    return v[0] / norm, v[1] / norm, v[2] / norm
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return f"{angle:.{digits}f}° about {joined([f'{v:z.2f}' for v in axis])}"

@@ -8,13 +8,14 @@ from typing import Any
 
 from simfoundry.spec.change.diff.changes import NAMED, Change, Rename, diff, renamed, same
 from simfoundry.spec.change.diff.fields import Describing
+from simfoundry.spec.change.merge.conflict import ABSENT
 from simfoundry.spec.models.base import Model
 
 # Maximum width of a line of changes [columns]; if the changes of a member are longer, each one gets its own line.
 WIDTH = 100
 
-_RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
-_LAST = {"cameras": 8, "lights": 9, "materials": 10}
+# Sections in the order in which their changes are reported; "" represents all other sections.
+_ORDER = ("objects", "robots", "links", "joints", "goal", "subtasks", "relations", "", "cameras", "lights", "materials")
 
 _MARKS = ("moved", "added", "removed", "renamed", "changed")
 
@@ -73,18 +74,16 @@ def describe(
     a = renamed(a, renames)
     words = Describing(a, b, model, joint_units or {}, verbose)
     was = {(*r.section, r.new): r.old for r in renames}
-    found: list[tuple[int, MemberChange]] = []
+    found: dict[str, list[MemberChange]] = {section: [] for section in _ORDER}
     for section in dict.fromkeys((*b, *a)):
-        rank = _RANK.get(section, _LAST.get(section, 7))
-        old, new = a.get(section), b.get(section)
-        if section in NAMED and isinstance(old or {}, dict) and isinstance(new or {}, dict):
-            found += ((rank, e) for e in _members(words, section, old or {}, new or {}, was))
-        elif not same(old, new):
-            facts = words.field((section,), old, new, section in a, section in b)
-            if facts:
-                found.append((rank, MemberChange("", "", "", ("changed",), (), tuple(facts))))
-    found += ((r, e) for r, e in _other_renames(renames))
-    return tuple(entry for _, entry in sorted(found, key=lambda item: item[0]))
+        entries = found[section if section in _ORDER else ""]
+        old, new = (side.get(section, ABSENT) for side in (a, b))
+        if section in NAMED and not any(isinstance(side, list | tuple | str) for side in (old, new)):
+            entries += _members(words, section, a.get(section, {}), b.get(section, {}), was)
+        elif not same(old, new) and (facts := words.field((section,), old, new)):
+            entries.append(MemberChange("", "", "", ("changed",), (), tuple(facts)))
+    found[""] += _other_renames(renames)
+    return tuple(entry for entries in found.values() for entry in entries)
 
 
 def text(entries: Iterable[MemberChange]) -> list[str]:
@@ -131,11 +130,11 @@ def _members(
             yield MemberChange("", "", "", ("changed",), (), (f"{section}: reordered",))
 
 
-def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:
+def _other_renames(renames: Iterable[Rename]) -> Iterable[MemberChange]:
     """Yield renames outside the named sections, such as parts of links or objects that a task refers to."""
     for r in renames:
         if len(r.section) > 1 or r.section[0] not in NAMED:
             kind = r.section[-1].removesuffix("s")
             where = f" of {r.section[-2]}" if len(r.section) > 1 else ""
             fact = f"{kind} {r.old}{where} renamed to {r.new}"
-            yield 7, MemberChange("", "", "", ("renamed",), (), (fact,))
+            yield MemberChange("", "", "", ("renamed",), (), (fact,))

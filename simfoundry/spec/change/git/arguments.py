@@ -10,13 +10,12 @@ from pathlib import Path
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
 from simfoundry.spec.change.git.revisions import (
-    Read,
     commit,
     differing,
     export,
     files_of,
     git,
-    references,
+    referenced_files,
     renames_between,
     repository,
 )
@@ -47,7 +46,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Span:
-    """A range, as written by the user, from one revision to another or, if ``new`` is empty, to the working tree."""
+    """A range of revisions as entered by the user; it extends to the working tree if ``new`` is empty.
+
+    ``commits`` contains the hashes of both ends; the second is empty for the working tree.
+    """
 
     old: str
     new: str
@@ -70,7 +72,7 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
 
 
 def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
-    """Yield the commits that changed a document, given ``FILE``, ``REVISION FILE`` or ``A..B FILE``."""
+    """Yield the commits that changed a document; the arguments are ``FILE``, ``REVISION FILE`` or ``A..B FILE``."""
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
         raise ArgumentError("give one document, optionally after a revision or a range: main..feature a.scene.yaml")
@@ -84,7 +86,7 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
 
 
 def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentComparison:
-    """Read and compare both states; revisions are written to ``folder``, which must be empty."""
+    """Read and compare both states; documents from revisions are written to ``folder``, which must be empty."""
     old, new = (_open(source, folder / k) for source, k in ((pair.old, "old"), (pair.new, "new")))
     if old is None and new is None:
         label = (pair.new or pair.old or DocumentState("", pair.name)).label
@@ -98,13 +100,11 @@ def _open(source: DocumentState | None, folder: Path) -> Side | None:
     if source.root is None:
         path = Path(source.path)
         return side(path, source.label) if path.exists() else None
-    with files_of(source.root, source.commit) as read:
-        found = export(read, source.path, folder)
-    return side(found, source.label, folder) if found is not None else None
+    return _side(source.root, source.commit, [source.path], folder, source.label)
 
 
 def _is_state(argument: str) -> bool:
-    """Return True if an argument by itself specifies one state of one document."""
+    """Return True if an argument alone specifies one state of one document."""
     return Path(argument).is_file() or _is_rev_path(argument)
 
 
@@ -114,7 +114,7 @@ def _is_rev_path(argument: str) -> bool:
 
 
 def _is_file(argument: str) -> bool:
-    """Return True if an argument is an existing path or has the name of a document that no longer exists."""
+    """Return True if an argument is an existing path, or if it looks like the name of a deleted document."""
     return Path(argument).exists() or (argument.endswith(".yaml") and ":" not in argument)
 
 
@@ -128,17 +128,14 @@ def _state(argument: str) -> DocumentState:
 
 def _span(root: Path, revisions: Sequence[str]) -> _Span:
     """Resolve ``A``, ``A B``, ``A..B`` (an empty end is HEAD) or ``A...B`` (from the merge base to B)."""
-    if len(revisions) == 2:
-        old, new = revisions
-    elif "..." in revisions[0]:
-        left, _, right = revisions[0].partition("...")
-        old, new = left or "HEAD", right or "HEAD"
-        base = git(root, "merge-base", commit(root, old), commit(root, new)).decode().strip()
-        return _Span(base[:10], new, (base, commit(root, new)))
-    else:
-        old, dots, new = revisions[0].partition("..")
-        old, new = old or "HEAD", new or ("HEAD" if dots else "")
-    return _Span(old, new, (commit(root, old), commit(root, new) if new else ""))
+    dots = "..." if "..." in revisions[0] else ".."
+    old, separator, new = revisions[0].partition(dots) if len(revisions) == 1 else (revisions[0], "", revisions[1])
+    old, new = old or "HEAD", new or ("HEAD" if separator else "")
+    commits = (commit(root, old), commit(root, new) if new else "")
+    if separator == "...":
+        base = git(root, "merge-base", *commits).decode().strip()
+        return _Span(base[:10], new, (base, commits[1]))
+    return _Span(old, new, commits)
 
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
@@ -172,18 +169,16 @@ def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
 
 def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) -> Pair:
     before = DocumentState(old, f"{span.old}:{old}", root, span.commits[0]) if old is not None else None
-    after = None
-    if new is not None and span.new:
-        after = DocumentState(new, f"{span.new}:{new}", root, span.commits[1])
-    elif new is not None:
-        shown = root / new
-        after = DocumentState(
-            str(shown), str(shown.relative_to(Path.cwd())) if shown.is_relative_to(Path.cwd()) else str(shown)
-        )
-    return Pair(name, before, after)
+    if new is None:
+        return Pair(name, before, None)
+    if span.new:
+        return Pair(name, before, DocumentState(new, f"{span.new}:{new}", root, span.commits[1]))
+    file, here = root / new, Path.cwd()
+    label = file.relative_to(here) if file.is_relative_to(here) else file
+    return Pair(name, before, DocumentState(str(file), str(label)))
 
 
-# Format of a commit for `git log`: hash, parents, date, author, and subject.
+# Output format for commits: hash, parents, date, author, and subject.
 _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
 
 
@@ -209,10 +204,10 @@ class HistoryEntry:
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
     """Yield the commits that changed the document ``path`` of the repository at ``root``, latest first.
 
-    ``revisions`` are arguments for `git rev-list`: commits to start from, and commits prefixed with ``^`` at which to
-    stop. Each commit is compared with its first parent, and both versions are joined with the documents that they
-    extended at that time. Merge commits are included only if they differ from all of their parents. The history
-    follows renames of the document.
+    Each commit is compared with its first parent, and both versions are joined with the documents that they extended
+    at that time. Merge commits are included only if they differ from all of their parents. The history follows renames
+    of the document. ``revisions`` are arguments for `git rev-list`: the commits to start from, and commits prefixed
+    with ``^`` at which to stop.
     """
     names, commits = _trace(root, revisions, path)
     for each in commits:
@@ -224,14 +219,12 @@ def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = Fal
             yield HistoryEntry(each, found[0])
 
 
-def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:
+def _side(root: Path, revision: str, names: Sequence[str], folder: Path, label: str = "") -> Side | None:
     """Read the document from a commit, using the first of its names that exists there."""
     with files_of(root, revision) as read:
-        for name in names:
-            found = export(read, name, folder)
-            if found is not None:
-                return side(found, f"{revision[:10]}:{name}", folder)
-    return None
+        found = ((name, export(read, name, folder)) for name in names)
+        sides = (side(path, label or f"{revision[:10]}:{name}", folder) for name, path in found if path is not None)
+        return next(sides, None)
 
 
 def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
@@ -246,7 +239,9 @@ def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], 
             read_already.add(each.id)
             with files_of(root, each.id) as read:
                 present = next((name for name in names if read(name) is not None), None)
-                paths |= _closure(read, present) if present is not None else set()
+                paths |= (
+                    {name for name, _ in referenced_files(read, present, ".yaml")} if present is not None else set()
+                )
             former = _former_name(root, each, present) if present is not None else None
             if former is not None and former not in names:
                 names.append(former)
@@ -265,22 +260,12 @@ def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Itera
             yield Commit(id_, tuple(parents.split()), date, author, subject)
 
 
-def _closure(read: Read, path: str) -> set[str]:
-    """Return the document and all files that it refers to, directly or through other documents."""
-    todo, seen = [path], {path}
-    while todo:
-        name = todo.pop()
-        data = read(name) if name.endswith(".yaml") else None
-        new = [reference for reference in references(name, data) if reference not in seen] if data is not None else []
-        seen.update(new)
-        todo += new
-    return seen
-
-
 def _former_name(root: Path, renaming: Commit, path: str) -> str | None:
     """Return the name of a document before the commit that renamed it to ``path``."""
-    for parent in renaming.parents[:1]:
-        with files_of(root, parent) as read:
-            if read(path) is None:
-                return next((pair.old for pair in renames_between(root, parent, renaming.id) if pair.new == path), None)
-    return None
+    if not renaming.parents:
+        return None
+    parent = renaming.parents[0]
+    with files_of(root, parent) as read:
+        if read(path) is not None:
+            return None
+    return next((pair.old for pair in renames_between(root, parent, renaming.id) if pair.new == path), None)

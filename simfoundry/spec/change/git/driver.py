@@ -10,15 +10,15 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
+from simfoundry.spec.change.diff.changes import leaves
 from simfoundry.spec.change.git.revisions import Read, document_references, export, extended
 from simfoundry.spec.change.merge.conflict import ABSENT, dotted, shown
 from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.yaml.text import parse
 
-# Argument that git passes for a missing file.
+# Argument that git passes in place of a missing file.
 NOTHING = "/dev/null"
 
 
@@ -73,28 +73,30 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
 
 
 def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
-    """Compare both sides joined with the documents that they extend; return None if those are unknown."""
-    sides = dict[str, Side | None]()
-    for name, blob in (("old", old), ("new", new)):
-        read = read_beside(top, blob) if blob is not None else None
-        if blob is not None and read is None:
-            return None
-        found = export(read, blob.path, folder / name) if blob is not None and read is not None else None
-        sides[name] = side(found, blob.path, folder / name) if blob is not None and found is not None else None
-    return compare((new or old or Blob("", b"")).path, sides["old"], sides["new"], files=False)
+    """Compare both sides joined with the documents that they extend, or return None if a base is ambiguous."""
+    sides: list[Side | None] = [None, None]
+    for k, blob in enumerate((old, new)):
+        if blob is not None:
+            read = read_beside(top, blob)
+            if read is None:
+                return None
+            found = export(read, blob.path, folder / str(k))
+            sides[k] = side(found, blob.path, folder / str(k)) if found is not None else None
+    return compare((new or old or Blob("", b"")).path, sides[0], sides[1], files=False)
 
 
 # -- documents whose base is unknown --------------------------------------------------------------------------------
 
 
 def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
-    """Compare only a document's own fields; raises :class:`ValueError` if that is not meaningful."""
+    """Compare only the document's own fields; raises :class:`ValueError` if it extends no other document."""
     present = [blob for blob in (old, new) if blob is not None]
     bases = [extended(blob.path, blob.content) for blob in present]
-    data = [parse(blob.content.decode("utf-8")).data for blob in present]
-    if None in bases or {d.get("simfoundry") for d in data} - set(KINDS):
+    before, after = (
+        dict(leaves(parse(blob.content.decode("utf-8")).data)) if blob is not None else {} for blob in (old, new)
+    )
+    if None in bases or {side.get(("simfoundry",)) for side in (before, after) if side} - set(KINDS):
         raise ValueError
-    before, after = ({} if blob is None else dict(_leaves(data[present.index(blob)], ())) for blob in (old, new))
     changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path, ABSENT) != after.get(path, ABSENT)]
     for path in changed:
         yield f"{dotted(path)}: {shown(before.get(path, ABSENT))} → {shown(after.get(path, ABSENT))}"
@@ -105,17 +107,8 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
     yield f" `simfoundry log {present[-1].path}` shows each commit in full)"
 
 
-def _leaves(data: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield every value that is not a non-empty mapping, with its path."""
-    if isinstance(data, dict) and data:
-        for key, item in data.items():
-            yield from _leaves(item, (*path, key))
-    else:
-        yield path, data
-
-
 def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list[str]:
-    """Return a unified diff of the texts."""
+    """Return a unified diff of the two texts."""
     before, after = (
         (b"" if side is None else side.content).decode("utf-8", "replace").splitlines() for side in (old, new)
     )
@@ -123,7 +116,7 @@ def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list
     return [f"diff --git a/{path} b/{new_path}", *difflib.unified_diff(before, after, *names, lineterm="")]
 
 
-# Time limit [s] for one blob search, because `git log -p` starts a search for every document in every commit.
+# Time limit [s] for one search, because `git log -p` starts a search for every document in every commit.
 LOOKUP_S = 2.0
 
 # Maximum number of commits to search, because each commit requires a lookup for every document.
@@ -161,7 +154,7 @@ def read_beside(top: Path, blob: Blob) -> Read | None:
     if not document_references(blob.path, blob.content):
         return _only(blob, lambda name: None)
     try:
-        return _Lookup(top, blob, time.monotonic() + LOOKUP_S).read()
+        return _Lookup(top, blob, time.monotonic() + LOOKUP_S, [blob.path]).read()
     except (_UnknownError, OSError):
         return _only(blob, lambda name: None) if extended(blob.path, blob.content) is None else None
 
@@ -177,16 +170,21 @@ def _in_worktree(top: Path, name: str) -> bytes | None:
 
 @dataclass
 class _Lookup:
-    """The state of one search; ``deadline`` is a monotonic clock time [s]."""
+    """The state of one search.
+
+    Attributes:
+        top: The root of the working tree.
+        blob: The document whose companions are wanted.
+        deadline: The end of the search, as a time of the monotonic clock [s].
+        chain: The paths of the document and of the documents that it extends.
+        others: The paths of all other documents that they refer to.
+    """
 
     top: Path
     blob: Blob
     deadline: float
-    chain: list[str] = field(init=False)
+    chain: list[str]
     others: list[str] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.chain = [self.blob.path]
 
     def read(self) -> Read:
         """Search until no further documents are found, and return a reader for the documents."""
@@ -229,9 +227,7 @@ class _Lookup:
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()
-        if len(listed) > MAX_STATES:
-            raise _UnknownError
-        if any("\n" in path for path in paths):
+        if len(listed) > MAX_STATES or any("\n" in path for path in paths):
             raise _UnknownError
         asked = "".join(f"{state}:{path}\n" for state in (*listed, "") for path in paths)
         answers = self._git("cat-file", "--batch-check=%(objectname)", stdin=asked.encode()).decode().splitlines()
@@ -239,29 +235,14 @@ class _Lookup:
         width = len(paths)
         rows = {tuple(ids[k : k + width]) for k in range(0, len(ids), width)}
         if self.blob.in_worktree:
-            rows.add(tuple(self._on_disk(path) for path in paths))
+            on_disk = [path if (self.top / path).is_file() else None for path in paths]
+            rows.add(tuple(self._git("hash-object", "--", path).decode().strip() if path else None for path in on_disk))
         return rows
 
-    def _on_disk(self, path: str) -> str | None:
-        if not (self.top / path).is_file():
-            return None
-        return self._git("hash-object", "--", path).decode().strip()
-
     def _git(self, *args: str, stdin: bytes = b"") -> bytes:
-        left = self.deadline - time.monotonic()
-        if left <= 0:
-            raise _UnknownError
+        command, left = ["git", "--literal-pathspecs", *args], max(self.deadline - time.monotonic(), 0.0)
         try:
-            done = subprocess.run(
-                ["git", "--literal-pathspecs", *args],
-                cwd=self.top,
-                input=stdin,
-                capture_output=True,
-                check=False,
-                timeout=left,
-            )
-        except subprocess.TimeoutExpired:
+            run = subprocess.run(command, cwd=self.top, input=stdin, capture_output=True, check=True, timeout=left)
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
             raise _UnknownError from None
-        if done.returncode:
-            raise _UnknownError
-        return done.stdout
+        return run.stdout

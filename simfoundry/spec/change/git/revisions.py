@@ -18,7 +18,7 @@ from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import parse
 
-# Function that maps a path in the repository (with ``/``) to the content of the file, or None if it is missing.
+# Function that maps a path in the repository (with ``/``) to the content of the file, or to None if it is missing.
 Read = Callable[[str], bytes | None]
 
 # Maximum number of files for one document: ten files (including textures) for each of a thousand objects.
@@ -37,7 +37,7 @@ class GitError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Renamed:
-    """A document that differs: its paths in the old and the new revision, each None if the document is absent."""
+    """A file that differs: its paths in the old and the new revision, each None if the file does not exist there."""
 
     old: str | None
     new: str | None
@@ -74,12 +74,13 @@ def commit(root: Path, revision: str) -> str:
 
 
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
-    """Return the documents below a folder that differ between two commits, or a commit and the working tree."""
-    found = []
-    for pair in renames_between(root, *([old] if new is None else [old, new])):
-        names = [name for name in (pair.old, pair.new) if name is not None]
-        if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
-            found.append(pair)
+    """Return the documents below a folder that differ between two commits, or between a commit and the working tree."""
+
+    def included(name: str | None) -> bool:
+        return name is not None and is_document(Path(name)) and (not below or name.startswith(f"{below}/"))
+
+    pairs = renames_between(root, old, *([new] if new is not None else []))
+    found = [pair for pair in pairs if included(pair.old) or included(pair.new)]
     return sorted(found, key=lambda pair: pair.new or pair.old or "")
 
 
@@ -98,13 +99,8 @@ def renames_between(root: Path, *revisions: str) -> Iterator[Renamed]:
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
     """Yield a reader for the files of a commit; a single git process serves all reads."""
-    process = subprocess.Popen(
-        ["git", "cat-file", "--batch"],
-        cwd=root,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
+    pipe, command = subprocess.PIPE, ["git", "cat-file", "--batch"]
+    process = subprocess.Popen(command, cwd=root, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
     assert process.stdin is not None and process.stdout is not None
     ask, answer = process.stdin, process.stdout
 
@@ -124,26 +120,33 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
 
 
 def export(read: Read, path: str, folder: Path) -> Path | None:
-    """Write a document and all files that it refers to below ``folder``, with their paths in the repository.
+    """Write a document and all files that it refers to below ``folder``, under their paths in the repository.
 
-    Returns the path of the document, or None if it does not exist. Raises :class:`GitError` if it refers to too many
-    files.
+    Returns the path of the document, or None if it does not exist. Raises :class:`GitError` if the document refers to
+    too many files.
     """
-    todo, seen, written = [path], {path}, 0
-    while todo:
-        name = todo.pop()
-        data = read(name)
-        if data is None:
-            continue
-        written += 1
-        if written > MAX_FILES:
+    files = ((name, data) for name, data in referenced_files(read, path) if data is not None)
+    for count, (name, data) in enumerate(files):
+        if count == MAX_FILES:
             raise GitError(f"{path} refers to more than {MAX_FILES} files, so its revisions cannot be compared")
         write_file(folder / name, data)
-        new = [reference for reference in references(name, data) if reference not in seen]
-        seen.update(new)
-        todo += new
     target = folder / path
     return target if target.is_file() else None
+
+
+def referenced_files(read: Read, path: str, suffix: str = "") -> Iterator[tuple[str, bytes | None]]:
+    """Yield the path and content of a document and of every file that it refers to, directly or indirectly.
+
+    The content is None for missing files and for files whose names do not end with ``suffix``, which are not read.
+    """
+    todo, seen = [path], {path}
+    while todo:
+        name = todo.pop()
+        data = read(name) if name.endswith(suffix) else None
+        yield name, data
+        new = [reference for reference in references(name, data) if reference not in seen] if data is not None else []
+        seen.update(new)
+        todo += new
 
 
 def document_references(name: str, data: bytes) -> list[str]:
@@ -162,7 +165,7 @@ def extended(name: str, data: bytes) -> str | None:
 
 
 def references(name: str, data: bytes) -> Iterator[str]:
-    """Yield the paths that the file ``name`` may refer to, excluding paths outside the repository."""
+    """Yield the paths in the repository that the file ``name`` may refer to."""
     folder = posixpath.dirname(name)
     for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
         path = posixpath.normpath(posixpath.join(folder, written))

@@ -66,12 +66,9 @@ def parts(text: str) -> Path_:
 
 
 def numbered(path: str, taken: dict[str, Any]) -> str:
-    """Return an unused key for an entry at ``path``, because an older conflict may still be open there."""
-    count = 2
-    key = path
-    while key in taken:
-        key, count = f"{path} #{count}", count + 1
-    return key
+    """Return ``path``, or ``path #2`` and so on if that key is taken, for example by an earlier conflict."""
+    keys = (path, *(f"{path} #{count}" for count in range(2, len(taken) + 2)))
+    return next(key for key in keys if key not in taken)
 
 
 def shown(value: Any) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
-from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
-from simfoundry.spec.change.merge.conflict import Path_
+from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, copied, expression
+from simfoundry.spec.change.merge.conflict import Path_, numbered
 from simfoundry.spec.yaml.spelling import call
 from simfoundry.spec.yaml.tree import YamlTree
 
 _JOINED = ("all", "any")
+
+# Keys of conditions.
+_CONDITIONS = ("goal", "not")
 
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
@@ -26,22 +28,22 @@ def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None
 
     A changed `all` or `any` gets the key of its version in ``base``. The keys of equal items are numbered.
     """
-    names = _numbered([spelled(item.data) for item in items])
-    if base is not None:
-        known = set(base)
-        free = [(name, _kind(item)) for name, item in base.items() if name not in names]
-        for k, item in enumerate(items):
-            kind = _kind(item)
-            twin = next((name for name, other in free if other == kind), None) if kind else None
-            if twin is not None and names[k] not in known:
-                free = [pair for pair in free if pair[0] != twin]
-                names[k] = twin
+    found: dict[str, YamlTree] = {}
+    for item in items:
+        found[numbered(spelled(item.data), found)] = item
+    free = {name: _kind(item) for name, item in (base or {}).items() if name not in found}
+    names = list(found)
+    for k, (name, item) in enumerate(found.items()):
+        old = next((old for old, kind in free.items() if kind and kind == _kind(item)), None)
+        if old is not None and name not in (base or {}):
+            names[k] = old
+            del free[old]
     return dict(zip(names, items, strict=True))
 
 
 def spelled(condition: Any) -> str:
     """Return the normalized text of a condition or a pair, independent of spacing and order."""
-    return expression(_spelled(condition))
+    return expression(copied(condition, lambda item: call(item) if isinstance(item, str) else item))
 
 
 def _is_condition(tree: YamlTree) -> bool:
@@ -59,35 +61,11 @@ def _is_pair(tree: YamlTree) -> bool:
     return isinstance(items, tuple) and len(items) == 2 and all(isinstance(item.value, str) for item in items)
 
 
-def _spelled(condition: Any) -> Any:
-    match condition:
-        case str():
-            return call(condition)
-        case dict():
-            return {key: _spelled(item) for key, item in condition.items()}
-        case tuple():
-            return tuple(_spelled(item) for item in condition)
-    return condition
-
-
-def _numbered(texts: list[str]) -> list[str]:
-    counts = Counter[str]()
-    names = []
-    for text in texts:
-        counts[text] += 1
-        names.append(text if counts[text] == 1 else f"{text} #{counts[text]}")
-    return names
-
-
 def _kind(item: YamlTree) -> str:
     """Return ``all`` or ``any`` for an item that combines other conditions, else an empty string."""
     value = item.value
     key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""
     return key if key in _JOINED else ""
-
-
-# Keys of conditions.
-_CONDITIONS = ("goal", "not")
 
 
 def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -59,8 +59,11 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
             for_side[there].append(rename)
             if rename.old not in members and len(rename.section) == 1:
                 edited.add((*rename.section, rename.new))
-    trees = (_renamed(base, for_base), _renamed(ours, for_side[0]), _renamed(theirs, for_side[1]))
-    return SameNames(*trees, frozenset(edited), tuple(conflicts))
+    base, ours, theirs = (
+        _with_names(tree, renamed(tree.data, renames)) if renames else tree
+        for tree, renames in ((base, for_base), (ours, for_side[0]), (theirs, for_side[1]))
+    )
+    return SameNames(base, ours, theirs, frozenset(edited), tuple(conflicts))
 
 
 def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
@@ -70,10 +73,6 @@ def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
     if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
         return True
     return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
-
-
-def _renamed(tree: YamlTree, renames: list[Rename]) -> YamlTree:
-    return _with_names(tree, renamed(tree.data, renames)) if renames else tree
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
@@ -99,14 +98,12 @@ Sides = tuple[Members, Members]
 LED = (("type", ("limits", "limits_deg")),)
 
 
-def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
+def at_odds(model: type[Model] | None, path: Path_, sides: Sides, merged: Members) -> set[str]:
     """Return the mutually exclusive keys at ``path`` that are present only because both sides were combined."""
     rivals = RIVALS.keys() & merged.keys()
-    found = set[str]()
-    for group in EXCLUSIVE if len(rivals) > 1 else ():
-        if _several(group, rivals) and not any(_several(group, side) for side in sides):
-            found |= set(group)
-    return found if found and model is not None and _holds_fields(model, path) else set()
+    groups = [group for group in EXCLUSIVE if _several(group, rivals)] if len(rivals) > 1 else []
+    combined = [group for group in groups if not any(_several(group, side) for side in sides)]
+    return set(chain(*combined)) if combined and _holds_fields(model, path) else set()
 
 
 def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
@@ -119,61 +116,54 @@ def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) ->
         a, b = ({k for k in keys if not same(base.get(k), side.get(k))} for side in sides)
         differ = any(not same(sides[0].get(k), sides[1].get(k)) for k in keys)
         crossed = (lead in a and b - {lead}) or (lead in b and a - {lead})
-        if crossed and differ and model is not None and set(keys) <= _fields(model, path):
+        fields = {name for owner in models_at(model, path) for name in owner.model_fields} if crossed else set()
+        if crossed and differ and fields.issuperset(keys):
             found |= set(keys)
     return found
 
 
-def rivals_at(model: type[Model] | None, path: Path_) -> set[str]:
-    """Return the keys that must be resolved together with the last key of ``path``."""
+def rivals_at(model: type[Model] | None, path: Path_) -> set[Path_]:
+    """Return the paths of the keys that must be resolved together with the last key of ``path``."""
     groups = [*EXCLUSIVE, *((lead, *led) for lead, led in LED)]
-    found = set(chain.from_iterable(group for group in groups if path[-1] in group)) - {path[-1]}
-    return found if found and model is not None and _holds_fields(model, path[:-1]) else set()
+    found = {(*path[:-1], key) for group in groups if path[-1:] and path[-1] in group for key in group} - {path}
+    return found if found and _holds_fields(model, path[:-1]) else set()
 
 
-def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iterator[str]:
-    """Yield the names that a start lists under both `pose` and `place`, which are mutually exclusive."""
+def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> list[str]:
+    """Return the names that a start lists under both `pose` and `place`, which are mutually exclusive."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
-    if model is not None and isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
-        yield from (name for name in place if name in pose)
+    if isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
+        return [name for name in place if name in pose]
+    return []
 
 
 def _several(group: tuple[str, ...], keys: Container[str]) -> bool:
     return sum(key in keys for key in group) > 1
 
 
-def _holds_fields(model: type[Model], path: Path_) -> bool:
+def _holds_fields(model: type[Model] | None, path: Path_) -> bool:
     """Return True if the keys of a mapping are fields rather than names."""
     return bool(models_at(model, path)) and not _is_start(model, path)
 
 
-def _fields(model: type[Model], path: Path_) -> set[str]:
-    return {name for owner in models_at(model, path) for name in owner.model_fields}
-
-
-def _is_start(model: type[Model], path: Path_) -> bool:
+def _is_start(model: type[Model] | None, path: Path_) -> bool:
     from simfoundry.spec.models.task import Start
 
     return path[-1:] == ("start",) and Start in models_at(model, path)
 
 
-@dataclass(frozen=True)
-class Order:
-    """The merged order of ``keys``; ``clash`` is True if the two sides reordered the base differently."""
-
-    keys: list[str]
-    clash: bool
-
-
 def merged_order(
     base: Collection[str], ours: Collection[str], theirs: Collection[str], kept: Collection[str], ours_first: bool
-) -> Order:
-    """Return the order of the ``kept`` keys, each of which exists on at least one side.
+) -> tuple[list[str], bool]:
+    """Merge the order of the ``kept`` keys, each of which exists on at least one side.
 
     If one side reorders keys that it shares with the base, its order wins. A key that exists on only one side follows
     its predecessor on that side. If both sides added keys at the same position, or both reordered, the keys are sorted
     by name, so that swapping the sides does not change the result. With ``ours_first``, our order wins if both
     reordered.
+
+    Returns:
+        The keys in their merged order, and True if the two sides reordered the base differently.
     """
     core = [key for key in ours if key in theirs and key in kept]
     core_theirs = [key for key in theirs if key in ours and key in kept]
@@ -181,15 +171,12 @@ def merged_order(
     inside = set(shared)
     before = [key for key in base if key in inside]
     clash = shared != before and shared_theirs != before and shared != shared_theirs
-    if core != core_theirs:
-        if shared != before and (shared_theirs == before or (clash and ours_first)):
-            chosen = core
-        elif shared == before and shared_theirs != before:
-            chosen = core_theirs
-        else:
-            chosen = min(core, core_theirs)
-    else:
+    if shared != before and (shared_theirs == before or (clash and ours_first)):
         chosen = core
+    elif shared == before and shared_theirs != before:
+        chosen = core_theirs
+    else:
+        chosen = min(core, core_theirs)
     runs = [_runs(keys, core, kept) for keys in (ours, theirs)]
     out = list[str]()
     for anchor in (None, *chosen):
@@ -197,18 +184,15 @@ def merged_order(
             out.append(anchor)
         for run in sorted(found[anchor] for found in runs if anchor in found):
             out += run
-    return Order(out, clash)
+    return out, clash
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
     """Return the keys in the order given by ``wanted``; keys that it does not contain stay after their predecessor."""
     keys = list(keys)
-    runs = _runs(keys, [key for key in wanted if key in set(keys)], keys)
-    out = runs.get(None, [])
-    for key in wanted:
-        if key in keys:
-            out = [*out, key, *runs.get(key, [])]
-    return out
+    core = [key for key in wanted if key in keys]
+    runs = _runs(keys, core, keys)
+    return [*runs.get(None, []), *(key for anchor in core for key in (anchor, *runs.get(anchor, [])))]
 
 
 def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -85,10 +86,8 @@ def _tree(text: str, name: str) -> YamlTree:
         if document.data is None and name == "base":
             return YamlTree({})
         tree = read_tree(document)
-    except YamlError as error:
-        raise UnmergeableError(f"{name} could not be parsed: line {error.line}: {error.message}") from None
-    except SpecError as error:
-        first = error.diagnostics[0]
+    except (YamlError, SpecError) as error:
+        first = error.diagnostics[0] if isinstance(error, SpecError) else error
         raise UnmergeableError(f"{name} could not be parsed: line {first.line}: {first.message}") from None
     if not isinstance(tree.value, dict):
         raise UnmergeableError(f"{name} is not a document")
@@ -122,19 +121,20 @@ def resolve(
             raise ResolveError(f"the entry `{key}` is not a valid conflict")
         _take(data, path, entry, entry.get(side, ABSENT), names)
         if side == "theirs":
-            tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
+            comment = tree.value[CONFLICTS].value[key].beside
+            tree = _edited(tree, path, partial(replace, beside=comment)) if comment else tree
         del entries[key]
     data[CONFLICTS] = {_under_new_name(key, names): entry for key, entry in entries.items()}
     if not entries:
         del data[CONFLICTS]
-    new = with_data(_without_gone(tree, names), renamed(data, _renames(names)) if names else data)
-    return new, keys
+    renames = [Rename(section, old, new) for (section, old), new in names.items()]
+    return with_data(_with_new_names(tree, renames), renamed(data, renames) if renames else data), keys
 
 
 def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[str]) -> list[str]:
     if not chosen:
         return list(entries)
-    found = dict[str, None]()
+    found = set[str]()
     for wanted in chosen:
         path = parts(wanted)
         inside = [key for key in entries if key == wanted or parts(key)[: len(path)] == path]
@@ -142,15 +142,9 @@ def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[
             listed = ", ".join(f"`{key}`" for key in entries)
             raise ResolveError(f"no conflict is recorded at `{wanted}`; recorded conflicts: {listed}")
         for key in inside:
-            found |= dict.fromkeys([key, *_rivals(entries, model, parts(key))])
+            rivals = rivals_at(model, parts(key))
+            found |= {key, *(other for other in entries if parts(other) in rivals)}
     return [key for key in entries if key in found]
-
-
-def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
-    """Yield the entries whose keys cannot be combined with the key at ``path``."""
-    if path:
-        rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
-        yield from (key for key in entries if parts(key) in rivals)
 
 
 def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: dict[tuple[Path_, str], str]) -> None:
@@ -188,24 +182,15 @@ def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
     return key
 
 
-def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
-    return [Rename(section, old, new) for (section, old), new in names.items()]
-
-
-def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> YamlTree:
+def _with_new_names(tree: YamlTree, renames: Iterable[Rename]) -> YamlTree:
     """Return the tree with members under their new names, which preserves their comments."""
-    for (section, old), new in names.items():
+    for rename in renames:
 
-        def with_new(members: YamlTree, old: str = old, new: str = new) -> YamlTree:
+        def with_new(members: YamlTree, old: str = rename.old, new: str = rename.new) -> YamlTree:
             return replace(members, value={new if key == old else key: child for key, child in members.value.items()})
 
-        tree = _edited(tree, section, with_new)
+        tree = _edited(tree, rename.section, with_new)
     return tree
-
-
-def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
-    """Return the tree with the comment that was stored beside a conflict."""
-    return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
 
 
 def _edited(tree: YamlTree, path: Path_, edit: Callable[[YamlTree], YamlTree]) -> YamlTree:

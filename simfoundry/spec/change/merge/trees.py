@@ -8,8 +8,7 @@ and records all three values under ``conflicts``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from simfoundry.spec.change.merge.conflict import ABSENT, CONFLICTS, MergeConflict, Path_, dotted, numbered
@@ -19,6 +18,9 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree
+
+# A value in one version of a document, or None if the version does not contain it.
+Tree = YamlTree | None
 
 # Named mappings whose order is significant.
 ORDERED = (("subtasks",), ("links",), ("frames",))
@@ -35,11 +37,6 @@ class Merged:
     def data(self) -> Any:
         """Return the document as plain data."""
         return self.tree.data
-
-
-def merge(base: Any, ours: Any, theirs: Any) -> Merged:
-    """Merge three documents as plain data; ``base`` is None if both sides added the document."""
-    return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
 
 
 def merge_trees(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> Merged:
@@ -81,11 +78,9 @@ class _Merging:
     model: type[Model] | None
     edited: frozenset[Path_]
     overlay: bool
-    conflicts: list[MergeConflict] = field(default_factory=list)
+    conflicts: list[MergeConflict]
 
-    def value(
-        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
-    ) -> YamlTree | None:
+    def value(self, base: Tree, ours: Tree, theirs: Tree, path: Path_) -> Tree:
         """Merge one value; return None if the value was removed."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
@@ -102,9 +97,7 @@ class _Merging:
             return self.whole(base, ours, theirs, path)
         return commented(tree, base, ours, theirs)
 
-    def one_sided(
-        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
-    ) -> YamlTree | None:
+    def one_sided(self, base: Tree, ours: Tree, theirs: Tree, path: Path_) -> Tree:
         """Merge a value that is missing on one side, because one side either added or removed it."""
         there = theirs if ours is None else ours
         if there is None or base is None:
@@ -126,7 +119,7 @@ class _Merging:
         is_set = path in (("relations",), ("no_contact",))
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
-    def whole(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
+    def whole(self, base: Tree, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """Take the entire value from one side instead of merging its members."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
@@ -134,16 +127,14 @@ class _Merging:
         if base is not None and same(base, ours, path):
             taken, other = theirs, ours
         elif base is None or not same(base, theirs, path):
-            comment = (
-                theirs.beside if theirs.beside != ours.beside and (base is None or theirs.beside != base.beside) else ""
-            )
-            self.clash(path, base, ours, theirs, comment)
+            known = (ours.beside, base.beside if base is not None else "")
+            self.clash(path, base, ours, theirs, theirs.beside if theirs.beside not in known else "")
             theirs = replace(theirs, beside=ours.beside)
         return rescued(commented(taken, base, ours, theirs), base, other)
 
-    def mapping(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
+    def mapping(self, base: Tree, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """Merge a mapping key by key."""
-        before: Members = base.value if base is not None and isinstance(base.value, dict) else {}
+        before = _mapping(base)
         sides = (ours.value, theirs.value)
         merged = dict[str, YamlTree]()
         for key in dict.fromkeys([*ours.value, *theirs.value]):
@@ -157,13 +148,12 @@ class _Merging:
         self.keep_ours_of_start(before, sides, merged, path)
         if path == (CONFLICTS,):
             self.keep_both(before, sides, merged)
-        order = merged_order(before, *sides, merged, path in ORDERED)
-        if order.clash and path in ORDERED:
+        order, clash = merged_order(before, *sides, merged, path in ORDERED)
+        if clash and path in ORDERED:
             self.conflicts.append(MergeConflict(path, tuple(before), tuple(sides[0]), tuple(sides[1])))
-        rest = [key for key in merged if key not in set(order.keys)] if len(order.keys) < len(merged) else []
-        return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
+        return replace(ours, value={key: merged[key] for key in dict.fromkeys((*order, *merged))})
 
-    def conditions(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
+    def conditions(self, base: Tree, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """Merge a list of conditions as a set; if two edits of a condition conflict, the whole list conflicts."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
@@ -176,12 +166,10 @@ class _Merging:
             del self.conflicts[found:]
             self.clash(path, base, ours, theirs)
             return ours
-        order = merged_order(before, *sides, merged, ours_first=False)
-        return replace(ours, value=tuple([merged[name] for name in order.keys]))
+        order, _ = merged_order(before, *sides, merged, ours_first=False)
+        return replace(ours, value=tuple([merged[name] for name in order]))
 
-    def condition(
-        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
-    ) -> YamlTree | None:
+    def condition(self, base: Tree, ours: Tree, theirs: Tree, path: Path_) -> Tree:
         """Merge one condition in a list, ignoring differences in spacing."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
@@ -193,9 +181,7 @@ class _Merging:
 
     # -- conflicts --------------------------------------------------------------------------------------------------
 
-    def clash(
-        self, path: Path_, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, comment: str = ""
-    ) -> None:
+    def clash(self, path: Path_, base: Tree, ours: Tree, theirs: Tree, comment: str = "") -> None:
         """Record a conflict."""
         was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
         self.conflicts.append(MergeConflict(path, was, here, there, comment))
@@ -215,7 +201,7 @@ class _Merging:
 
     def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
         """Keep our value if a task's ``start`` gives an object a pose on one side and a place on the other."""
-        for name in list(named_twice(self.model, path, merged)):
+        for name in named_twice(self.model, path, merged):
             for key in ("place", "pose"):
                 inner = dict(merged[key].value)
                 of = [_mapping(members.get(key)) for members in (base, *sides)]
@@ -237,14 +223,14 @@ def _is_whole(path: Path_, ours: YamlTree, theirs: YamlTree) -> bool:
     return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
 
 
-def _mapping(tree: YamlTree | None) -> Members:
+def _mapping(tree: Tree) -> Members:
     return tree.value if tree is not None and isinstance(tree.value, dict) else {}
 
 
 _NONE = YamlTree(None)
 
 
-def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
+def commented(tree: YamlTree, base: Tree, ours: YamlTree, theirs: YamlTree) -> YamlTree:
     """Return ``tree`` with the top-level comments of ``ours`` and ``theirs``; the side that changed a comment wins."""
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
@@ -257,55 +243,41 @@ def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: Yam
     return replace(tree, above=above, beside=beside, end=end)
 
 
-def united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
+def united(base: Tree, ours: YamlTree, theirs: Tree) -> YamlTree:
     """Return ``ours`` with the comments of both sides at every level; the data of both sides must be equal."""
+    if theirs is None:
+        return ours
     value = ours.value
     if isinstance(value, dict):
-        value = {key: _united(base, child, theirs, key) for key, child in value.items()}
+        value = {key: united(_inside(base, key), child, _inside(theirs, key)) for key, child in value.items()}
     elif isinstance(value, tuple):
-        value = tuple([_united(base, child, theirs, k) for k, child in enumerate(value)])
+        value = tuple([united(_inside(base, k), child, _inside(theirs, k)) for k, child in enumerate(value)])
     return commented(replace(ours, value=value), base, ours, theirs)
 
 
-def _united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree, part: str | int) -> YamlTree:
-    other = _inside(theirs, part)
-    return united(_inside(base, part), ours, other) if other is not None else ours
+def _inside(tree: Tree, part: str | int) -> Tree:
+    """Return a member of a mapping or an item of a list, or None if it does not exist."""
+    value = tree.value if tree is not None else None
+    if isinstance(value, tuple) and isinstance(part, int):
+        value = dict(enumerate(value[part : part + 1], part))
+    return value.get(part) if isinstance(value, dict) else None
 
 
-def rescued(tree: YamlTree, base: YamlTree | None, other: YamlTree) -> YamlTree:
+def rescued(tree: YamlTree, base: Tree, other: YamlTree) -> YamlTree:
     """Return ``tree`` plus the comments inside ``other`` that would otherwise be lost when ``tree`` replaces it."""
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
-    new = tuple(text for child in _children(other) for _, text in child.comments() if text not in known)
+    new = tuple(text for path, text in other.comments() if path and text not in known)
     return replace(tree, above=(*tree.above, *new)) if new else tree
 
 
-def _changed(base: str, ours: str, theirs: str) -> str | None:
-    """Return the comment from the side that changed it, or None if the two sides changed it differently."""
+def _changed(base: Any, ours: Any, theirs: Any) -> Any:
+    """Return the value from the side that changed it, or None if the two sides changed it differently."""
     if ours == theirs or theirs == base:
         return ours
     return theirs if ours == base else None
 
 
 def _lines(base: tuple[str, ...], ours: tuple[str, ...], theirs: tuple[str, ...]) -> tuple[str, ...]:
-    if ours == theirs or theirs == base:
-        return ours
-    if ours == base:
-        return theirs
-    return (*ours, *(text for text in theirs if text not in ours and text not in base))
-
-
-def _inside(tree: YamlTree | None, part: str | int) -> YamlTree | None:
-    value = tree.value if tree is not None else None
-    if isinstance(value, dict):
-        return value.get(part)
-    if isinstance(value, tuple) and isinstance(part, int) and part < len(value):
-        found: YamlTree = value[part]
-        return found
-    return None
-
-
-def _children(tree: YamlTree) -> Iterator[YamlTree]:
-    if isinstance(tree.value, dict):
-        yield from tree.value.values()
-    elif isinstance(tree.value, tuple):
-        yield from tree.value
+    both = (*ours, *(text for text in theirs if text not in ours and text not in base))
+    changed = _changed(base, ours, theirs)
+    return both if changed is None else tuple(changed)
